@@ -1,0 +1,1 @@
+"""Closed meshes and label grids of components."""

@@ -1,0 +1,1 @@
+"""Depth images of meshes, tools and table."""

@@ -1,0 +1,1 @@
+"""Sensors: from an ideal depth image to what a real camera reports."""

@@ -1,0 +1,1 @@
+"""Simulation of dough: MLS-MPM, rigid fingers and table."""

@@ -1,0 +1,1 @@
+"""What is connected: the dynamic check and, beside it, the static one."""
