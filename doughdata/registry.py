@@ -6,7 +6,7 @@ from typing import Any
 
 from doughschemas import MissingPackageError, UnknownNameError
 
-__all__ = ["KINDS", "load", "names", "require_package"]
+__all__ = ["KINDS", "identity", "load", "names", "require_package"]
 
 KINDS = {  # entry-point group -> what one of its entries is called in messages
     "scenes": "scene family",
@@ -61,6 +61,15 @@ def load(kind: str, name: str) -> Any:
         if package not in EXTRAS:
             raise
         raise MissingPackageError(package, EXTRAS[package]) from error
+
+
+def identity(kind: str, plugin: object) -> tuple[str, str]:
+    """Registered name and distribution version of a plug-in object; its path if unregistered."""
+    path = f"{type(plugin).__module__}:{type(plugin).__qualname__}"
+    for name, entry in _entries(kind).items():
+        if entry.value == path:
+            return name, entry.dist.version if entry.dist else ""
+    return path, ""
 
 
 def require_package(package: str, *, extra: str) -> Any:

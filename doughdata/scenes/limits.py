@@ -1,6 +1,6 @@
 """Physical limits: what a scene must satisfy before anything is simulated."""
 
-from itertools import pairwise
+from itertools import permutations
 
 import numpy as np
 from doughschemas import Action, Body, Scene, SceneError
@@ -54,7 +54,7 @@ def _check(scene: Scene) -> None:
             raise SceneError(
                 f"body {body.shape!r} must stay within {WORKSPACE} m of the origin, reaches {reach:.3f}"
             )
-    _check_apart(clouds)
+    _check_apart(scene.bodies, clouds)
     for number, action in enumerate(scene.actions):
         _check_action(scene, number, action, clouds if number == 0 else [])
 
@@ -112,8 +112,17 @@ def to_world(points: Float64[np.ndarray, "points 3"], body: Body) -> Float64[np.
     return turned + np.array([*body.position, 0.0])
 
 
-def _check_apart(clouds: list[Float64[np.ndarray, "_ 3"]]) -> None:
-    keys = [{tuple(k) for k in np.floor(cloud / SAMPLE).astype(int)} for cloud in clouds]
-    for first, second in pairwise(range(len(keys))):
-        if keys[first] & keys[second]:
-            raise SceneError(f"bodies {first} and {second} overlap")
+def to_body(points: Float64[np.ndarray, "points 3"], body: Body) -> Float64[np.ndarray, "points 3"]:
+    """From the world to a shape's own frame [m]."""
+    c, s = np.cos(body.yaw), np.sin(body.yaw)
+    return (points - np.array([*body.position, 0.0])) @ np.array(
+        [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]
+    )
+
+
+def _check_apart(bodies: tuple[Body, ...], clouds: list[Float64[np.ndarray, "_ 3"]]) -> None:
+    shapes = [shape_of(body) for body in bodies]
+    for first, second in permutations(range(len(bodies)), 2):
+        if shapes[second].contains(to_body(clouds[first], bodies[second])).any():
+            raise SceneError(f"bodies {min(first, second)} and {max(first, second)} overlap")
+

@@ -23,6 +23,10 @@ def shape_of(body: Body) -> Shape:
     unknown = sorted(set(body.parameters) - set(known))
     if unknown:
         raise SceneError(f"shape {body.shape!r} has no {', '.join(unknown)} (it has: {', '.join(known)})")
+    for field in fields(shape):
+        value = body.parameters.get(field.name, 0.0)
+        if field.type is float and (isinstance(value, bool) or not isinstance(value, int | float)):
+            raise SceneError(f"{body.shape} {field.name} must be a number, got {value!r}")
     try:
         return shape(**body.parameters)
     except TypeError as error:

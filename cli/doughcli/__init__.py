@@ -1,0 +1,1 @@
+"""The commands `doughdata` and `doughnet`, one file a command."""

@@ -1,0 +1,142 @@
+"""One key frame of a scene, read part by part."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from doughschemas import (
+    ComponentMesh,
+    DepthViews,
+    FrameTopology,
+    LabelGrid,
+    MissingLayerError,
+    Tool,
+    TopologyEvent,
+)
+from jaxtyping import Float32, Float64, UInt8
+
+from doughdata.dataset.layers import (
+    decode_depth,
+    decode_events,
+    decode_frame_topology,
+    decode_label_grid,
+    decode_meshes,
+    decode_tool_poses,
+)
+
+if TYPE_CHECKING:
+    from doughdata.dataset.reader import Dataset
+
+__all__ = ["Frame", "FrameParticles", "FrameTools"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameParticles:
+    """Material points of one key frame."""
+
+    positions: Float32[np.ndarray, "particles 3"]  # [m], world
+    object_ids: UInt8[np.ndarray, " particles"]  # index into `Scene.bodies`
+    spacing: float  # [m]; one particle stands for spacing**3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameTools:
+    """Both fingers at one key frame."""
+
+    tool: Tool
+    action: int  # index into `Scene.actions`
+    position: Float64[np.ndarray, "fingers 3"]  # [m], finger frame's origin in the world
+    quaternion: Float64[np.ndarray, "fingers 4"]  # xyzw, finger frame -> world
+    opening: float  # [m]
+
+
+class Frame:
+    """A key frame. Every property raises MissingLayerError if its layer was not made."""
+
+    def __init__(self, dataset: "Dataset", scene_index: int, frame_index: int) -> None:
+        self._dataset = dataset
+        self.scene_index, self.frame_index = scene_index, frame_index
+
+    def __repr__(self) -> str:
+        return f"Frame(scene={self.scene_index}, frame={self.frame_index})"
+
+    @cached_property
+    def timestamp(self) -> float:
+        """Seconds since the start of the first action."""
+        sim = self._dataset.layer("sim", self.scene_index)
+        return sim.table("frames").frame(*self._key)["timestamp"][0].as_py()
+
+    @cached_property
+    def particles(self) -> FrameParticles:
+        """Layer `sim`."""
+        sim = self._dataset.layer("sim", self.scene_index)
+        row = sim.rows.start(self.scene_index) + self.frame_index
+        count = self._num_particles
+        scene = sim.table("scenes").scene(self.scene_index)
+        return FrameParticles(
+            positions=sim.array("positions").row(row)[:count],
+            object_ids=sim.array("object_ids").row(row)[:count],
+            spacing=scene["particle_spacing"][0].as_py(),
+        )
+
+    @cached_property
+    def topology(self) -> FrameTopology:
+        """Layer `topology`: labels, genus, scene graph, contacts."""
+        shard = self._dataset.layer("topology", self.scene_index)
+        return decode_frame_topology(shard, *self._key, num_particles=self._num_particles)
+
+    @cached_property
+    def events(self) -> tuple[TopologyEvent, ...]:
+        """Changes of topology between the key frame before and this one."""
+        shard = self._dataset.layer("topology", self.scene_index)
+        events = decode_events(shard, self.scene_index)
+        return tuple(event for event in events if event.frame == self.frame_index)
+
+    @cached_property
+    def meshes(self) -> tuple[ComponentMesh, ...]:
+        """Layer `mesh`: mesh k belongs to component k."""
+        return decode_meshes(self._dataset.layer("mesh", self.scene_index), *self._key)
+
+    @cached_property
+    def label_grid(self) -> LabelGrid:
+        """Layer `mesh`: component of every node of a regular grid."""
+        return decode_label_grid(self._dataset.layer("mesh", self.scene_index), *self._key)
+
+    @cached_property
+    def tools(self) -> FrameTools:
+        """The gripper: which tool, and where both fingers are."""
+        sim = self._dataset.layer("sim", self.scene_index)
+        poses = decode_tool_poses(sim, self.scene_index)
+        scene = self._dataset.scene(self.scene_index)
+        action = int(poses.action[self.frame_index])
+        return FrameTools(
+            tool=scene.tools[scene.actions[action].tool],
+            action=action,
+            position=poses.position[self.frame_index],
+            quaternion=poses.quaternion[self.frame_index],
+            opening=float(poses.opening[self.frame_index]),
+        )
+
+    def depth(self, sensor: str) -> DepthViews:
+        """Layer `depth.<sensor>`: all views of this key frame.
+
+        Raises:
+            MissingLayerError: not rendered; the message names the command that does it.
+        """
+        views = decode_depth(self._dataset.layer(f"depth.{sensor}", self.scene_index), *self._key)
+        if len(views.depth) == 0:
+            raise MissingLayerError(
+                f"{self._dataset.uri}: key frame {self.frame_index} of scene {self.scene_index} has "
+                f"no depth view; make it with `doughdata render --noise {sensor} --all-frames`"
+            )
+        return views
+
+    @property
+    def _key(self) -> tuple[int, int]:
+        return self.scene_index, self.frame_index
+
+    @cached_property
+    def _num_particles(self) -> int:
+        sim = self._dataset.layer("sim", self.scene_index)
+        return int(sim.array("num_particles").row(sim.rows.start(self.scene_index)))

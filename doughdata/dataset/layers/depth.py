@@ -1,0 +1,106 @@
+"""Layer `depth.<sensor>`: depth images and segments, one row a view; cameras as a table."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pyarrow as pa
+from doughschemas import BadInputError, Camera, DepthViews, Intrinsics
+
+from doughdata.dataset.arrays import ArraySpec
+from doughdata.dataset.layers.columns import frame_columns, vectors
+from doughdata.dataset.shards import Encoded, LayerShard, ShardRows
+
+__all__ = ["decode_depth", "encode_depth"]
+
+INTRINSICS = {"width": np.int32, "height": np.int32} | dict.fromkeys(
+    ("fx", "fy", "cx", "cy"), np.float64
+)
+
+
+def encode_depth(views: Mapping[int, DepthViews], rows: ShardRows) -> Encoded:
+    """Arrays `depth` and `segments`; table views. A view's row is its place in that table.
+
+    Raises:
+        BadInputError: no view at all, or views of a shard differ in size or depth unit.
+    """
+    views = {index: _sorted(views[index]) for index in rows.scenes if index in views}
+    sizes = {record.depth.shape[1:] for record in views.values()}
+    units = {record.depth_unit for record in views.values()}
+    if len(sizes) != 1 or len(units) != 1:
+        raise BadInputError(
+            f"views of a layer must share one size and unit, got {sorted(sizes)} px, {sorted(units)} m"
+        )
+    depth = np.concatenate([record.depth for record in views.values()])
+    segments = np.concatenate([record.segments for record in views.values()])
+    if len(depth) == 0:
+        raise BadInputError("a depth layer needs at least one view")
+    axes, attributes = ("view", "y", "x"), {"depth_unit": units.pop()}  # [m]
+    arrays = {
+        "depth": ArraySpec(data=depth, axes=axes, fill=0, shuffle="shuffle", attributes=attributes),
+        "segments": ArraySpec(data=segments, axes=axes, fill=0, shuffle="shuffle"),
+    }
+    return Encoded(arrays=arrays, tables={"views": _views_table(views)})
+
+
+def decode_depth(shard: LayerShard, scene_index: int, frame_index: int | None = None) -> DepthViews:
+    """Views of a scene or of one of its key frames; there may be none."""
+    index = shard.table("views")
+    if frame_index is None:
+        table = index.scene(scene_index)
+    else:
+        table = index.frame(scene_index, frame_index)
+    depth = shard.array("depth")
+    start = table["row"][0].as_py() if len(table) else 0
+    return DepthViews(
+        depth=depth.rows(start, start + len(table)),
+        segments=shard.array("segments").rows(start, start + len(table)),
+        frame_index=table["frame_index"].to_numpy().copy(),
+        view_index=table["view_index"].to_numpy().copy(),
+        cameras=tuple(_camera(view) for view in table.to_pylist()),
+        depth_unit=float(depth.attributes["depth_unit"]),
+    )
+
+
+def _sorted(views: DepthViews) -> DepthViews:
+    """The same views by frame, then view: rows of one frame lie together."""
+    order = np.lexsort((views.view_index, views.frame_index))
+    return DepthViews(
+        depth=views.depth[order],
+        segments=views.segments[order],
+        frame_index=views.frame_index[order],
+        view_index=views.view_index[order],
+        cameras=tuple(views.cameras[k] for k in order),
+        depth_unit=views.depth_unit,
+    )
+
+
+def _views_table(views: Mapping[int, DepthViews]) -> pa.Table:
+    cameras = [camera for record in views.values() for camera in record.cameras]
+    frames = frame_columns({index: record.frame_index for index, record in views.items()})
+    return pa.table(
+        {
+            **frames,
+            "view_index": np.concatenate([r.view_index for r in views.values()]).astype(np.int32),
+            "row": np.arange(len(cameras), dtype=np.int64),
+            "position": _vectors([camera.position for camera in cameras]),
+            "quaternion": _vectors([camera.quaternion for camera in cameras]),
+            **{
+                name: np.array([getattr(c.intrinsics, name) for c in cameras], dtype)
+                for name, dtype in INTRINSICS.items()
+            },
+        }
+    )
+
+
+def _vectors(values: Sequence[Sequence[float]]) -> pa.FixedSizeListArray:
+    return vectors(np.array(values, np.float64), np.float64)
+
+
+def _camera(view: Mapping) -> Camera:
+    x, y, z = view["position"]
+    i, j, k, w = view["quaternion"]
+    return Camera(
+        intrinsics=Intrinsics(**{name: view[name] for name in INTRINSICS}),
+        position=(x, y, z),
+        quaternion=(i, j, k, w),
+    )

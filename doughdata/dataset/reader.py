@@ -1,0 +1,260 @@
+"""Reading: whole scenes for the stages, single frames for people and training.
+
+ds = open_dataset("dough-dataset")
+frame = ds.frame(scene=0, frame=60)
+frame.topology.num_components, frame.meshes[0].vertices, frame.depth("realsense").depth
+"""
+
+import json
+import os
+from bisect import bisect_right
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from typing import Any
+
+import pyarrow as pa
+from doughschemas import (
+    BadInputError,
+    ComponentMeshes,
+    DatasetError,
+    DepthViews,
+    MissingLayerError,
+    Particles,
+    Scene,
+    Topology,
+)
+
+from doughdata.dataset.assets import resolve_tools
+from doughdata.dataset.commits import CommitLog, CommitRecord
+from doughdata.dataset.frame import Frame
+from doughdata.dataset.info import read_info
+from doughdata.dataset.layers import (
+    decode_depth,
+    decode_label_grid,
+    decode_meshes,
+    decode_particles,
+    decode_topology,
+)
+from doughdata.dataset.plan import PlanRecord, read_plans
+from doughdata.dataset.shards import LayerShard, ShardRows, read_table
+from doughdata.dataset.store import Store, store_of
+from doughdata.dataset.tables import TABLES, build_tables
+from doughdata.scenes import scene_from_json
+
+__all__ = ["Dataset", "open_dataset"]
+
+OPEN_SHARDS = 32  # committed layers whose indices and tables are kept in memory
+
+
+@dataclass(slots=True)
+class _Opened:
+    """What one process has read so far; never shared with another process."""
+
+    info: dict[str, Any]
+    plans: list[PlanRecord]
+    log: CommitLog
+    tables: dict[str, pa.Table] = field(default_factory=dict)
+    fresh: dict[str, dict[str, CommitRecord]] = field(default_factory=dict)
+    shards: OrderedDict[tuple[str, str], LayerShard] = field(default_factory=OrderedDict)
+
+
+class Dataset:
+    """A dataset as it was when this object was made. Picklable; safe after fork and spawn.
+
+    Every process opens the files for itself when it first reads.
+    """
+
+    def __init__(self, uri: str | Store) -> None:
+        self._store = store_of(uri)
+        self._opened: dict[int, _Opened] = {}
+        _ = self._here  # so that a wrong path is reported here, not at the first read
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_store": self._store, "_opened": {}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+
+    def __enter__(self) -> "Dataset":
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._opened = {}
+
+    def __len__(self) -> int:
+        """Number of scenes with a `sim` layer; `scene_indices` are theirs."""
+        return len(self.scenes)
+
+    def __repr__(self) -> str:
+        return f"Dataset({self.uri!r}, scenes={len(self)}, layers={self.layers})"
+
+    @property
+    def uri(self) -> str:
+        """Where the dataset lies."""
+        return self._store.uri
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """`meta/info.json`."""
+        return self._here.info
+
+    @property
+    def num_frames(self) -> int:
+        """Key frames a scene."""
+        return self.info["num_frames"]
+
+    @property
+    def layers(self) -> list[str]:
+        """Layers that at least one shard has, in the order of the stages."""
+        return self._here.log.layers
+
+    @property
+    def fingerprint(self) -> str:
+        """sha256 of the content as of the last refresh; equal data have equal fingerprints."""
+        return self.info["fingerprint"]
+
+    @property
+    def scene_indices(self) -> list[int]:
+        """scene_index of every scene with a `sim` layer; a scene that failed leaves a gap."""
+        return self.scenes["scene_index"].to_pylist()
+
+    @property
+    def scenes(self) -> pa.Table:
+        """`meta/scenes.parquet`."""
+        return self.table("scenes")
+
+    @property
+    def frames(self) -> pa.Table:
+        """`meta/frames.parquet`."""
+        return self.table("frames")
+
+    def table(self, name: str) -> pa.Table:
+        """A derived table; built in memory if the dataset was never refreshed.
+
+        Raises:
+            BadInputError: there is no table of that name; the message lists them.
+            DamagedDatasetError: the file is damaged.
+        """
+        if name not in TABLES:
+            raise BadInputError(f"no table {name!r} (there are: {', '.join(TABLES)})")
+        here, path = self._here, f"meta/{name}.parquet"
+        if name not in here.tables and self._store.exists(path):
+            here.tables[name] = read_table(self._store.local(path))
+        if name not in here.tables:
+            here.tables = build_tables(self._store, here.log, num_frames=self.num_frames)
+        return here.tables[name]
+
+    def scene(self, scene_index: int) -> Scene:
+        """What a scene was made from; tool meshes have paths on this machine."""
+        table = self.layer("sim", scene_index).table("scenes").scene(scene_index)
+        data = json.loads(table["parameters"][0].as_py())
+        return resolve_tools(self._store, scene_from_json(data, name=data["scene_id"]))
+
+    def frame(self, *, scene: int, frame: int) -> Frame:
+        """One key frame; its parts are read when they are asked for.
+
+        Raises:
+            BadInputError: no such key frame.
+            MissingLayerError: the scene has not been simulated.
+        """
+        if not 0 <= frame < self.num_frames:
+            raise BadInputError(f"key frame must be 0..{self.num_frames - 1}, got {frame}")
+        self.layer("sim", scene)
+        return Frame(self, scene, frame)
+
+    def read_particles(self, scene_index: int) -> Particles:
+        """All key frames of a scene's `sim` layer."""
+        return decode_particles(self.layer("sim", scene_index), scene_index)
+
+    def read_topology(self, scene_index: int) -> Topology:
+        """All key frames of a scene's `topology` layer, with events and bonds."""
+        sim = self.layer("sim", scene_index)
+        count = int(sim.array("num_particles").row(sim.rows.start(scene_index)))
+        shard = self.layer("topology", scene_index)
+        return decode_topology(shard, scene_index, num_particles=count)
+
+    def read_meshes(self, scene_index: int, frame_index: int) -> ComponentMeshes:
+        """Meshes and label grid of one key frame."""
+        shard = self.layer("mesh", scene_index)
+        return ComponentMeshes(
+            meshes=decode_meshes(shard, scene_index, frame_index),
+            label_grid=decode_label_grid(shard, scene_index, frame_index),
+        )
+
+    def read_depth(self, scene_index: int, sensor: str) -> DepthViews:
+        """All views of a scene from one sensor."""
+        return decode_depth(self.layer(f"depth.{sensor}", scene_index), scene_index)
+
+    def layer(self, layer: str, scene_index: int) -> LayerShard:
+        """The committed layer that holds a scene.
+
+        Raises:
+            BadInputError: the dataset has no such scene.
+            MissingLayerError: the layer was not made, is stale, or this scene failed in it; the
+                message names the command that makes it.
+        """
+        shard = self._shard_of(scene_index)
+        here = self._here
+        if shard not in here.fresh:
+            here.fresh[shard] = here.log.fresh(shard)
+        commits = here.fresh[shard]
+        if layer not in commits:
+            raise MissingLayerError(
+                f"{self.uri}: scene {scene_index} has no layer {layer!r}; "
+                f"make it with `{command_for(layer)} --dataset {self.uri}`"
+            )
+        if scene_index not in commits[layer].scenes:
+            reason = commits[layer].failed.get(scene_index, "an earlier layer failed")
+            raise MissingLayerError(
+                f"{self.uri}: scene {scene_index} failed in layer {layer!r} ({reason}); try again "
+                f"with `{command_for(layer)} --retry-failed --dataset {self.uri}`"
+            )
+        return self._open(commits[layer], commits["sim"])
+
+    @property
+    def _here(self) -> _Opened:
+        """The state of this very process."""
+        pid = os.getpid()
+        if pid not in self._opened:
+            info = read_info(self._store)
+            opened = _Opened(info, read_plans(self._store), CommitLog(self._store))
+            self._opened = {pid: opened}
+        return self._opened[pid]
+
+    def _shard_of(self, scene_index: int) -> str:
+        plans = self._here.plans
+        total = sum(plan.count for plan in plans)
+        if not 0 <= scene_index < total:
+            raise BadInputError(f"{self.uri}: no scene {scene_index} (it has 0..{total - 1})")
+        plan = plans[bisect_right(plans, scene_index, key=lambda p: p.first_scene_index) - 1]
+        place = (scene_index - plan.first_scene_index) // plan.scenes_per_shard
+        return f"{plan.first_shard + place:05d}"
+
+    def _open(self, commit: CommitRecord, sim: CommitRecord) -> LayerShard:
+        shards, key = self._here.shards, (commit.layer, commit.shard)
+        if key not in shards:
+            rows = ShardRows(scenes=sim.scenes, num_frames=self.num_frames)
+            shards[key] = LayerShard(self._store.local(""), commit, rows)
+            if len(shards) > OPEN_SHARDS:
+                shards.popitem(last=False)
+        shards.move_to_end(key)
+        return shards[key]
+
+
+def command_for(layer: str) -> str:
+    """The command that makes a layer."""
+    stages = {"sim": "simulate", "topology": "topology", "mesh": "mesh"}
+    if layer in stages:
+        return f"doughdata generate --stages {stages[layer]}"
+    return f"doughdata render --noise {layer.partition('.')[2]}"
+
+
+def open_dataset(uri: str | Store) -> Dataset:
+    """Open a dataset for reading.
+
+    Raises:
+        DatasetError: no dataset there, or a URI that this release cannot reach.
+        VersionError: a schema that this release cannot read.
+        DamagedDatasetError: `meta/info.json` or a plan record has changed.
+    """
+    return Dataset(uri)

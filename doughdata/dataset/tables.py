@@ -1,0 +1,277 @@
+"""Derived tables: rebuilt from the commits at any time, replaced one by one, each atomically."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from doughschemas import SCHEMA_VERSION
+
+from doughdata.dataset.commits import CommitLog, CommitRecord
+from doughdata.dataset.info import features_of, read_info, write_info
+from doughdata.dataset.shards import read_table
+from doughdata.dataset.store import Store
+
+__all__ = ["TABLES", "build_info", "build_tables", "fingerprint_of", "refresh_tables"]
+
+INDEX = [
+    ("scene_index", pa.int64()),
+    ("frame_index", pa.int32()),
+    ("index", pa.int64()),
+    ("timestamp", pa.float64()),
+]
+INTS = pa.list_(pa.int32())
+TOPOLOGY_COLUMNS = [
+    ("num_components", pa.int32()),
+    ("genus", INTS),
+    ("ambiguous", pa.bool_()),
+    ("ambiguous_reason", pa.string()),
+    ("static_num_components", pa.int32()),
+    ("static_genus", INTS),
+]
+POSE = [("position", pa.list_(pa.float64(), 3)), ("quaternion", pa.list_(pa.float64(), 4))]
+TABLES = {  # name -> columns; SPEC.md says what they mean
+    "scenes": [
+        ("scene_index", pa.int64()),
+        ("scene_id", pa.string()),
+        ("family", pa.string()),
+        ("split", pa.string()),
+        ("region", pa.string()),
+        ("seed", pa.int64()),
+        ("shard", pa.string()),
+        ("num_frames", pa.int32()),
+        ("duration", pa.float64()),
+        ("num_particles", pa.int32()),
+        ("particle_spacing", pa.float64()),
+        ("num_bodies", pa.int32()),
+        ("num_actions", pa.int32()),
+        ("tools", pa.list_(pa.string())),
+        ("failed", pa.string()),
+        ("parameters", pa.string()),
+    ],
+    "frames": [
+        *INDEX,
+        ("shard", pa.string()),
+        ("row", pa.int64()),
+        ("num_particles", pa.int32()),
+        ("opening", pa.float64()),
+        ("action", pa.int32()),
+        *TOPOLOGY_COLUMNS,
+    ],
+    "topology_events": [
+        *INDEX,
+        ("kind", pa.string()),
+        ("components_before", INTS),
+        ("components_after", INTS),
+        ("margin", pa.float64()),
+    ],
+    "graph_nodes": [
+        *INDEX,
+        ("node", pa.int32()),
+        ("component", pa.uint8()),
+        ("position", pa.list_(pa.float32(), 3)),
+        ("particles", pa.int32()),
+    ],
+    "graph_edges": [*INDEX, ("a", pa.int32()), ("b", pa.int32())],
+    "tool_poses": [
+        *INDEX,
+        ("body", pa.int32()),
+        *POSE,
+        ("opening", pa.float64()),
+        ("action", pa.int32()),
+    ],
+    "views": [
+        *INDEX,
+        ("layer", pa.string()),
+        ("shard", pa.string()),
+        ("row", pa.int64()),
+        ("view_index", pa.int32()),
+        *POSE,
+        ("width", pa.int32()),
+        ("height", pa.int32()),
+        *((name, pa.float64()) for name in ("fx", "fy", "cx", "cy")),
+    ],
+}
+Parts = dict[str, list[pa.Table]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Shard:
+    """What the tables of one shard are made from."""
+
+    store: Store
+    id: str
+    commits: Mapping[str, CommitRecord]
+    num_frames: int
+
+    def table(self, layer: str, name: str) -> pa.Table | None:
+        """A table of a committed attempt, or None if the layer has none."""
+        commit = self.commits.get(layer)
+        if commit is None or commit.path is None:
+            return None
+        return read_table(self.store.local(f"{commit.path}/{name}.parquet"))
+
+
+def refresh_tables(store: Store) -> dict[str, Any]:
+    """Rebuild all tables and the totals in info.json; returns the new info.
+
+    Raises:
+        DamagedDatasetError: a commit record or a table of an attempt is damaged.
+        DatasetError: the disk is full or read-only.
+    """
+    info, log = read_info(store), CommitLog(store)
+    tables = build_tables(store, log, num_frames=info["num_frames"])
+    hashes = {}
+    for name, table in tables.items():
+        buffer = BytesIO()
+        pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
+        hashes[name] = sha256(buffer.getvalue()).hexdigest()
+        store.replace(f"meta/{name}.parquet", buffer.getvalue())
+    info = build_info(info, log, tables, hashes)
+    write_info(store, info)
+    return info
+
+
+def build_tables(store: Store, log: CommitLog, *, num_frames: int) -> dict[str, pa.Table]:
+    """All derived tables, sorted by scene_index and frame_index. Raises as `refresh_tables`."""
+    parts: Parts = {name: [] for name in TABLES}
+    for shard_id in log.shards:
+        commits = log.fresh(shard_id)
+        shard = _Shard(store=store, id=shard_id, commits=commits, num_frames=num_frames)
+        _add_shard(parts, shard)
+    return {name: _joined(name, tables) for name, tables in parts.items()}
+
+
+def build_info(
+    info: Mapping[str, Any],
+    log: CommitLog,
+    tables: Mapping[str, pa.Table],
+    hashes: Mapping[str, str],
+) -> dict[str, Any]:
+    """The info with totals, splits, features, stages and fingerprint brought up to date."""
+    commits = [commit for shard in log.shards for commit in log.fresh(shard).values()]
+    stages = {commit.layer: commit.stage.to_json() for commit in commits}
+    splits = {}
+    for split in sorted(set(tables["scenes"]["split"].to_pylist())):
+        scenes = tables["scenes"].filter(pc.equal(tables["scenes"]["split"], split))
+        frames = pc.sum(scenes["num_frames"]).as_py()
+        splits[split] = {"scenes": len(scenes), "frames": frames}
+    return {
+        **info,
+        "stages": {**info["stages"], **stages},
+        "layers": sorted({commit.layer for commit in commits}, key=log.layers.index),
+        "features": features_of({commit.layer: None for commit in commits}),
+        "splits": splits,
+        "total_scenes": len(tables["scenes"]),
+        "total_frames": len(tables["frames"]),
+        "total_failed": sum(len(commit.failed) for commit in commits),
+        "tables": dict(hashes),
+        "fingerprint": fingerprint_of(log),
+    }
+
+
+def fingerprint_of(log: CommitLog) -> str:
+    """sha256 over the content of all fresh commits: equal for equal data, whoever wrote it."""
+    digest = sha256()
+    for shard in log.shards:
+        for layer, commit in log.fresh(shard).items():
+            digest.update(f"{layer} {shard} {list(commit.scenes)}\n".encode())
+            for name, value in sorted(commit.files.items()):
+                digest.update(f"{name} {value}\n".encode())
+    return digest.hexdigest()
+
+
+def _add_shard(parts: Parts, shard: _Shard) -> None:
+    """Append the rows of one shard to every table."""
+    scenes = shard.table("sim", "scenes")
+    frames = shard.table("sim", "frames")
+    poses = shard.table("sim", "tool_poses")
+    if scenes is None or frames is None or poses is None:
+        return
+    timestamps = _timestamps(frames, shard.num_frames)
+
+    def add(name: str, table: pa.Table, **columns: Any) -> None:
+        for column, value in columns.items():
+            table = table.append_column(column, pa.array(value))
+        if name != "scenes":
+            table = _with_index(table, timestamps, shard.num_frames)
+        schema = pa.schema(TABLES[name])
+        parts[name].append(table.select(schema.names).cast(schema))
+
+    here = [shard.id] * len(frames)
+    add("scenes", _with_failures(scenes, shard.commits), shard=here[: len(scenes)])
+    topology = _topology_columns(frames, shard.table("topology", "frames"), shard.num_frames)
+    add("frames", topology, shard=here, row=np.arange(len(frames)))
+    add("tool_poses", poses)
+    for name in ("topology_events", "graph_nodes", "graph_edges"):
+        table = shard.table("topology", name)
+        if table is not None:
+            add(name, table)
+    for layer in shard.commits:
+        views = shard.table(layer, "views") if layer.startswith("depth.") else None
+        if views is not None:
+            add("views", views, layer=[layer] * len(views), shard=[shard.id] * len(views))
+
+
+def _timestamps(
+    frames: pa.Table, num_frames: int
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    scenes = frames["scene_index"].to_numpy()[::num_frames]
+    times = frames["timestamp"].to_numpy().reshape(-1, num_frames)
+    return lambda scene, frame: times[np.searchsorted(scenes, scene), frame]
+
+
+def _with_index(
+    table: pa.Table, timestamps: Callable[[np.ndarray, np.ndarray], np.ndarray], num_frames: int
+) -> pa.Table:
+    """Add `index` (scene_index * num_frames + frame_index) and `timestamp` [s]."""
+    scene, frame = table["scene_index"].to_numpy(), table["frame_index"].to_numpy()
+    if "timestamp" not in table.column_names:
+        table = table.append_column("timestamp", pa.array(timestamps(scene, frame), pa.float64()))
+    return table.append_column("index", pa.array(scene * num_frames + frame))
+
+
+def _with_failures(scenes: pa.Table, commits: Mapping[str, CommitRecord]) -> pa.Table:
+    """Column `failed`: null, or `layer: reason` of every layer that this scene failed in."""
+    reasons = [
+        "; ".join(f"{k}: {c.failed[i]}" for k, c in commits.items() if i in c.failed) or None
+        for i in scenes["scene_index"].to_pylist()
+    ]
+    return scenes.append_column("failed", pa.array(reasons, pa.string()))
+
+
+def _topology_columns(frames: pa.Table, topology: pa.Table | None, num_frames: int) -> pa.Table:
+    """Frames of `sim` with the columns of `topology`; null where a scene has none."""
+    if topology is None:
+        keys = np.zeros(0, np.int64)
+    else:
+        keys = _keys(topology, num_frames)
+    wanted = _keys(frames, num_frames)
+    if len(keys):
+        place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        indices = pa.array(place, mask=keys[place] != wanted)
+    for name, dtype in TOPOLOGY_COLUMNS:
+        if topology is None or not len(keys):
+            column: Any = pa.nulls(len(frames), dtype)
+        else:
+            column = topology[name].take(indices)
+        frames = frames.append_column(name, column)
+    return frames
+
+
+def _keys(table: pa.Table, num_frames: int) -> np.ndarray:
+    return table["scene_index"].to_numpy() * num_frames + table["frame_index"].to_numpy()
+
+
+def _joined(name: str, tables: list[pa.Table]) -> pa.Table:
+    schema = pa.schema(TABLES[name], metadata={"schema_version": SCHEMA_VERSION})
+    table = pa.concat_tables(tables) if tables else schema.empty_table()
+    # Shards hold rising scene_index and rows are sorted within each, so that only layers mix.
+    order = ["scene_index"] if name == "scenes" else ["scene_index", "frame_index"]
+    keys = [table[column].to_numpy() for column in reversed(order)]
+    return table.take(np.lexsort(keys)).combine_chunks().cast(schema)

@@ -1,0 +1,287 @@
+"""Writing: plan scenes, list what is to do, write layers, commit, refresh the tables.
+
+A layer of a shard is written into an attempt folder of its own and exists from the moment when its
+commit record is published. A crash leaves an attempt without a commit, which nobody reads.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+from uuid import uuid4
+
+from doughschemas import BadInputError, DatasetError, Scene
+
+from doughdata.dataset.arrays import write_arrays
+from doughdata.dataset.assets import store_tools
+from doughdata.dataset.commits import (
+    CommitLog,
+    CommitRecord,
+    StageRecord,
+    read_commit,
+    upstream_of,
+)
+from doughdata.dataset.info import (
+    DatasetSettings,
+    check_settings,
+    check_stage,
+    create_info,
+    read_info,
+)
+from doughdata.dataset.layers import encode_depth, encode_mesh, encode_sim, encode_topology
+from doughdata.dataset.plan import (
+    PlanRecord,
+    Shard,
+    plan_family,
+    plan_scenes,
+    read_plans,
+    scenes_of,
+    shards_of,
+)
+from doughdata.dataset.shards import ARRAYS, Encoded, ShardRows, write_table
+from doughdata.dataset.store import (
+    LocalStore,
+    Store,
+    attempt_folder,
+    explain_os_errors,
+    store_of,
+    sync_tree,
+)
+from doughdata.dataset.tables import refresh_tables
+
+__all__ = ["DatasetWriter", "Task", "open_writer"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """One layer of one shard that is to be made. Picklable: it travels to a worker."""
+
+    layer: str  # sim | topology | mesh | depth.<sensor>
+    shard: str
+    scenes: tuple[int, ...]  # scene_index of the scenes to work on
+    revision: int  # 0, or one more than the commit that it replaces
+    upstream: Mapping[str, str]  # layer -> hash of the commit that the work reads
+
+
+class DatasetWriter:
+    """A dataset that is being made. Picklable; any number of processes may write at once."""
+
+    def __init__(self, store: Store, info: Mapping[str, Any]) -> None:
+        self.store, self.info = store, info
+
+    @property
+    def uri(self) -> str:
+        """Where the dataset lies."""
+        return self.store.uri
+
+    @property
+    def num_frames(self) -> int:
+        """Key frames a scene."""
+        return self.info["num_frames"]
+
+    def plan_family(self, family: str, *, split: str, seed: int, count: int) -> list[Shard]:
+        """Plan scenes 0..count-1 of a family: nothing if they are planned, the missing ones else.
+
+        Returns all planned shards of (family, split, seed).
+
+        Raises:
+            UnknownNameError: nobody registered that family (when the scenes are asked for).
+        """
+        size = self.info["scenes_per_shard"]
+        return plan_family(
+            self.store, family, split=split, seed=seed, count=count, scenes_per_shard=size
+        )
+
+    def plan_scenes(self, scenes: Sequence[Scene]) -> list[Shard]:
+        """Plan user-written scenes; those that are planned already (same content) are kept.
+
+        Raises:
+            DatasetError: another scene with the same scene_id is there.
+        """
+        return plan_scenes(self.store, scenes, scenes_per_shard=self.info["scenes_per_shard"])
+
+    def shards(self) -> list[Shard]:
+        """All planned shards, in order."""
+        return [shard for plan in read_plans(self.store) for shard in shards_of(plan)]
+
+    def scenes(self, task: Task) -> dict[int, Scene]:
+        """The scenes of a task, scene_index -> Scene; tool meshes have paths on this machine."""
+        return scenes_of(self.store, self._plan(task.shard), task.scenes)
+
+    def tasks(
+        self,
+        layer: str,
+        *,
+        shards: Sequence[Shard] | None = None,
+        retry_failed: bool = False,
+        replace_with: StageRecord | None = None,
+    ) -> list[Task]:
+        """What is to do for a layer: missing shards and stale ones (made from an older revision).
+
+        Shards whose upstream layers are not there yet are left out. `retry_failed` adds the shards
+        in which a scene failed; `replace_with` those that a stage of another name or configuration
+        made (for example with other camera views), so that an interrupted replacement resumes too.
+        """
+        log = CommitLog(self.store)
+        tasks = (
+            _task(layer, shard, log, retry_failed=retry_failed, replace_with=replace_with)
+            for shard in (self.shards() if shards is None else shards)
+        )
+        return [task for task in tasks if task is not None]
+
+    def check_stage(self, layer: str, stage: StageRecord) -> None:
+        """Refuse a stage whose name or configuration differs from what made this layer so far.
+
+        Raises:
+            DatasetError: the message names the option, both values and what to do.
+        """
+        check_settings(self.uri, self.info, DatasetSettings(stages={layer: stage}))
+        if layer in self.info["stages"]:
+            return
+        log = CommitLog(self.store)
+        commits = (log.newest(layer, shard) for shard in log.shards)
+        made = next((commit for commit in commits if commit is not None), None)
+        if made is not None:
+            check_stage(self.uri, layer, made.stage.to_json(), stage)
+
+    def write(
+        self,
+        task: Task,
+        records: Mapping[int, Any],
+        *,
+        stage: StageRecord,
+        failed: Mapping[int, str] | None = None,
+        scenes: Mapping[int, Scene] | None = None,
+    ) -> CommitRecord:
+        """Write and commit one layer of one shard; returns the commit that counts.
+
+        Args:
+            task: from `tasks`.
+            records: scene_index -> `Particles` (sim), `Topology` (topology), a sequence of
+                `ComponentMeshes`, one a key frame (mesh), or `DepthViews` (depth.<sensor>).
+            stage: what made them.
+            failed: scene_index -> reason (one line) of the scenes without a record.
+            scenes: scene_index -> `Scene`, for layer `sim`; None = those of the plan.
+
+        If another process committed the same revision first, its commit is returned and the
+        attempt is removed.
+
+        Raises:
+            BadInputError: records that do not fit the task or each other.
+            DatasetError: the disk is full or read-only; nothing that was finished is lost.
+        """
+        failed = dict(failed or {})
+        if sorted([*records, *failed]) != sorted(task.scenes):
+            raise BadInputError(
+                f"{task.layer} {task.shard}: records and failures must cover scenes "
+                f"{list(task.scenes)} exactly, got {sorted(records)} and {sorted(failed)}"
+            )
+        commit = CommitRecord(
+            layer=task.layer,
+            shard=task.shard,
+            revision=task.revision,
+            path=None,
+            files={},
+            scenes=tuple(sorted(records)),
+            failed={index: failed[index] for index in sorted(failed)},
+            stage=stage,
+            upstream=dict(task.upstream),
+        )
+        if not records:
+            return self._publish(commit)
+        encoded = self._encode(task, records, scenes)
+        path = f"data/{task.layer}/{task.shard}-{uuid4().hex[:12]}"
+        with (
+            explain_os_errors(self.uri, f"write {task.layer} of shard {task.shard}"),
+            attempt_folder(self.store.local(path)) as folder,
+        ):
+            attributes = {"layer": task.layer, "shard": task.shard, "scenes": list(commit.scenes)}
+            write_arrays(folder / ARRAYS, encoded.arrays, attributes=attributes)
+            for name, table in encoded.tables.items():
+                write_table(folder / f"{name}.parquet", table)
+            return self._publish(replace(commit, path=path, files=sync_tree(folder)))
+
+    def refresh(self) -> None:
+        """Rebuild the derived tables and the totals in info.json from the commits; atomic."""
+        self.info = refresh_tables(self.store)
+
+    def _encode(
+        self, task: Task, records: Mapping[int, Any], scenes: Mapping[int, Scene] | None
+    ) -> Encoded:
+        kind = task.layer.partition(".")[0]
+        if kind == "sim":
+            rows = ShardRows(scenes=tuple(sorted(records)), num_frames=self.num_frames)
+            scenes = self.scenes(task) if scenes is None else scenes
+            stored = {index: store_tools(self.store, scenes[index]) for index in records}
+            return encode_sim(records, stored, rows)
+        sim = CommitLog(self.store).newest("sim", task.shard)
+        if sim is None:
+            raise DatasetError(f"{self.uri}: shard {task.shard} has no sim layer to refer to")
+        rows = ShardRows(scenes=sim.scenes, num_frames=self.num_frames)
+        encode = {"topology": encode_topology, "mesh": encode_mesh, "depth": encode_depth}[kind]
+        return encode(records, rows)
+
+    def _publish(self, commit: CommitRecord) -> CommitRecord:
+        """Create the commit record; if it exists, drop this attempt and take that one."""
+        if not self.store.create(commit.name, commit.dump()):
+            if commit.path is not None:
+                remove_attempt(self.store, commit.path)
+        return read_commit(self.store, commit.layer, commit.shard, commit.revision)
+
+    def _plan(self, shard: str) -> PlanRecord:
+        for plan in read_plans(self.store):
+            if plan.first_shard <= int(shard) < plan.first_shard + plan.num_shards:
+                return plan
+        raise DatasetError(f"{self.uri}: shard {shard} is not planned")
+
+
+def open_writer(uri: str | Store, settings: DatasetSettings | None = None) -> DatasetWriter:
+    """Open a dataset for writing; with settings it is made if it is not there.
+
+    Raises:
+        DatasetError: the folder holds something else, a setting differs from the dataset's (the
+            message names it), or there is no dataset and `settings` is None.
+        VersionError: a schema that this release cannot write.
+    """
+    store = store_of(uri)
+    info = read_info(store) if settings is None else create_info(store, settings)
+    return DatasetWriter(store, info)
+
+
+def remove_attempt(store: Store, path: str) -> None:
+    """Delete an attempt folder that no commit names."""
+    import shutil
+
+    shutil.rmtree(store.local(path), ignore_errors=True)
+
+
+def _task(
+    layer: str,
+    shard: Shard,
+    log: CommitLog,
+    *,
+    retry_failed: bool,
+    replace_with: StageRecord | None,
+) -> Task | None:
+    """The task for a shard, or None if there is nothing to do or to work from."""
+    fresh, own = log.fresh(shard.id), log.newest(layer, shard.id)
+    needed = upstream_of(layer)
+    if any(name not in fresh for name in needed):
+        return None
+    if layer in fresh:
+        again = retry_failed and bool(fresh[layer].failed)
+        if replace_with is not None:
+            again |= not fresh[layer].stage.same(replace_with)
+        if not again:
+            return None
+    scenes = set(shard.scene_indices)
+    for name in needed:
+        scenes &= set(fresh[name].scenes)
+    if not scenes:
+        return None
+    return Task(
+        layer=layer,
+        shard=shard.id,
+        scenes=tuple(sorted(scenes)),
+        revision=0 if own is None else own.revision + 1,
+        upstream={name: fresh[name].hash for name in needed},
+    )

@@ -1,0 +1,94 @@
+"""The counterfactual: would these particles stay together if two sides were driven apart?"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from doughschemas import BadInputError, Material
+from jaxtyping import Float64
+
+from doughdata.sim.solver import Physics, Solver
+from doughdata.stages import PullProblem
+
+__all__ = ["MpmPullApart", "PullConfig"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PullConfig:
+    """Numerics of a pull test."""
+
+    material: Material = Material()
+    cells: float = 1.5625  # dx / spacing: 2.0 sticks, 1.25 breaks thin necks
+    cfl: float = 0.4
+    density_cap: float = 1.15
+    arch: str = "auto"
+
+
+class MpmPullApart:
+    """The simulator's own kernels without gravity, table and tools; handles have a set velocity."""
+
+    def __init__(self, config: PullConfig | None = None) -> None:
+        self.config = config or PullConfig()
+
+    def pull_apart(
+        self, problems: Sequence[PullProblem]
+    ) -> list[Float64[np.ndarray, "particles 3"]]:
+        """Positions [m] after each pull, in the order given; velocity and strain start at zero.
+
+        The answer does not depend on where in the world the crop lies nor on its yaw.
+
+        Raises:
+            BadInputError: a direction is no unit vector, or an array has the wrong length.
+            SimulationError: a pull became unstable.
+        """
+        return [self._pull(problem) for problem in problems]
+
+    def _pull(self, problem: PullProblem) -> Float64[np.ndarray, "particles 3"]:
+        _check(problem)
+        if len(problem.positions) == 0:
+            return problem.positions.astype(np.float64)
+        axes, centre = _frame(problem.direction), problem.positions.mean(axis=0)
+        local = (problem.positions - centre) @ axes.T
+        room = problem.distance + 4 * self.config.cells * problem.spacing
+        physics = Physics(
+            material=self.config.material,
+            spacing=problem.spacing,
+            dx=self.config.cells * problem.spacing,
+            cfl=self.config.cfl,
+            density_cap=self.config.density_cap,
+            gravity=0.0,
+            low=tuple(local.min(axis=0) - room),
+            high=tuple(local.max(axis=0) + room),
+            table_friction=None,
+        )
+        solver = Solver(
+            local,
+            physics,
+            handles=problem.handles,
+            pull=(problem.speed, 0.0, 0.0),
+            arch=self.config.arch,
+        )
+        solver.advance(problem.distance / problem.speed)
+        return solver.positions.astype(np.float64) @ axes + centre
+
+
+def _frame(direction: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, "3 3"]:
+    """Rows: the pull, a horizontal vector across it, and the third; so that yaw changes nothing."""
+    up = np.array([0.0, 0.0, 1.0])
+    if abs(direction[2]) > 0.9:
+        up = np.array([1.0, 0.0, 0.0])
+    across = np.cross(up, direction)
+    across /= np.linalg.norm(across)
+    return np.stack([direction, across, np.cross(direction, across)])
+
+
+def _check(problem: PullProblem) -> None:
+    if len(problem.handles) != len(problem.positions):
+        raise BadInputError(
+            f"a pull needs one handle a particle: {len(problem.positions)} particles, "
+            f"{len(problem.handles)} handles"
+        )
+    if abs(float(np.linalg.norm(problem.direction)) - 1.0) > 1e-6:
+        raise BadInputError(f"a pull's direction must be a unit vector, got {problem.direction}")
+    if not (problem.speed > 0 and problem.distance > 0 and problem.spacing > 0):
+        raise BadInputError("a pull's speed, distance and spacing must be above 0")

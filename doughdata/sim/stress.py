@@ -1,0 +1,165 @@
+"""Hencky elasticity with von Mises yield, without a singular-value decomposition.
+
+State per particle: b = F F^T, symmetric, packed as (xx, yy, zz, xy, yz, xz). Symmetric matrices
+obey their own characteristic equation (Cayley-Hamilton), so the logarithm and the exponential of a
+deviator are three scalars times I, X and X^2. Far from the identity Jacobi's eigenvalue method
+takes over. Taichi 1.7.4 loses an in-place update that follows a conditional one: names are never
+updated in place here.
+"""
+
+from math import factorial
+
+from doughdata.sim._taichi import ti
+
+__all__ = ["Sym", "hencky_return", "sym_det", "sym_eigen", "sym_exp_deviator", "sym_log", "sym_square"]
+
+Sym = ti.types.vector(6, ti.f32)
+Vec3 = ti.types.vector(3, ti.f32)
+Mat3 = ti.types.matrix(3, 3, ti.f32)
+
+ORDER = 8  # of both series
+SERIES_LOG = 0.0625  # |Y|^2 up to which log(I + Y) is a series: truncation below 1e-6 at |Y| = 0.25
+SERIES_EXP = 1.0  # |X|^2 up to which exp(X) is a series: truncation below 3e-6 at |X| = 1
+SMALLEST = 1e-8  # eigenvalues of b are kept above
+
+
+@ti.func
+def sym_square(s):
+    """S S of a packed symmetric matrix."""
+    return Sym(
+        s[0] * s[0] + s[3] * s[3] + s[5] * s[5],
+        s[3] * s[3] + s[1] * s[1] + s[4] * s[4],
+        s[5] * s[5] + s[4] * s[4] + s[2] * s[2],
+        s[0] * s[3] + s[3] * s[1] + s[5] * s[4],
+        s[3] * s[5] + s[1] * s[4] + s[4] * s[2],
+        s[0] * s[5] + s[3] * s[4] + s[5] * s[2],
+    )
+
+
+@ti.func
+def sym_det(s):
+    """Determinant of a packed symmetric matrix."""
+    return (
+        s[0] * (s[1] * s[2] - s[4] * s[4])
+        + s[3] * (s[4] * s[5] - s[3] * s[2])
+        + s[5] * (s[3] * s[4] - s[1] * s[5])
+    )
+
+
+@ti.func
+def sym_norm2(s):
+    """Squared Frobenius norm of a packed symmetric matrix."""
+    return s[0] * s[0] + s[1] * s[1] + s[2] * s[2] + 2.0 * (s[3] * s[3] + s[4] * s[4] + s[5] * s[5])
+
+
+@ti.func
+def sym_eigen(s):
+    """Eigenvalues and eigenvectors (columns) of a packed symmetric matrix, by Jacobi rotations."""
+    a = Mat3(s[0], s[3], s[5], s[3], s[1], s[4], s[5], s[4], s[2])
+    q = Mat3(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    for _ in range(6):  # quadratic convergence: 1e-7 is reached after four sweeps
+        for pair in ti.static(((0, 1), (0, 2), (1, 2))):
+            i, j = ti.static(pair[0], pair[1])
+            off = a[i, j]
+            if ti.abs(off) > 1e-12 * (ti.abs(a[i, i]) + ti.abs(a[j, j])):
+                theta = (a[j, j] - a[i, i]) / (2.0 * off)
+                side = ti.select(theta >= 0.0, 1.0, -1.0)
+                t = side / (ti.abs(theta) + ti.sqrt(theta * theta + 1.0))
+                c = 1.0 / ti.sqrt(t * t + 1.0)
+                turn = Mat3(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+                turn[i, i] = c
+                turn[j, j] = c
+                turn[i, j] = t * c
+                turn[j, i] = -t * c
+                a = turn.transpose() @ a @ turn
+                q = q @ turn
+    return Vec3(a[0, 0], a[1, 1], a[2, 2]), q
+
+
+@ti.func
+def sym_rebuild(values, q):
+    """Packed Q diag(values) Q^T."""
+    m = q @ Mat3(values[0], 0.0, 0.0, 0.0, values[1], 0.0, 0.0, 0.0, values[2]) @ q.transpose()
+    return Sym(m[0, 0], m[1, 1], m[2, 2], m[0, 1], m[1, 2], m[0, 2])
+
+
+@ti.func
+def sym_log(s):
+    """Deviator of log(S) and log(det S) of a packed positive matrix S.
+
+    S = m (I + Y) with m = tr(S)/3, so tr Y = 0 and Y^3 = p Y + q I, p = tr(Y^2)/2, q = det Y.
+    """
+    m = (s[0] + s[1] + s[2]) / 3.0
+    y = s / m - Sym(1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
+    deviator = Sym(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    log_det = 0.0
+    if m > SMALLEST and sym_norm2(y) < SERIES_LOG:
+        y2 = sym_square(y)
+        p = 0.5 * (y2[0] + y2[1] + y2[2])
+        q = sym_det(y)
+        # Y^k = power . (I, Y, Y^2), advanced from k = 2 by multiplying with Y once more.
+        power = Vec3(0.0, 0.0, 1.0)
+        f1 = 1.0
+        f2 = -0.5
+        for k in ti.static(range(3, ORDER + 1)):
+            following = Vec3(power[2] * q, power[0] + power[2] * p, power[1])
+            power = following
+            f1 = f1 + ti.static((1.0 if k % 2 else -1.0) / k) * power[1]
+            f2 = f2 + ti.static((1.0 if k % 2 else -1.0) / k) * power[2]
+        mean = f2 * p * (2.0 / 3.0)
+        deviator = f1 * y + f2 * y2 - Sym(mean, mean, mean, 0.0, 0.0, 0.0)
+        log_det = 3.0 * ti.log(m) + ti.log(1.0 - p + q)
+    else:
+        values, axes = sym_eigen(s)
+        logs = ti.log(ti.max(values, SMALLEST))
+        log_det = logs[0] + logs[1] + logs[2]
+        deviator = sym_rebuild(logs - log_det / 3.0, axes)
+    return deviator, log_det
+
+
+@ti.func
+def sym_exp_deviator(x):
+    """exp(X) of a packed symmetric matrix without trace; X is halved until the series holds."""
+    halvings = 0
+    scale = 1.0
+    size2 = sym_norm2(x)
+    while size2 * scale * scale > SERIES_EXP and halvings < 20:
+        scale = 0.5 * scale
+        halvings = halvings + 1
+    y = scale * x
+    y2 = sym_square(y)
+    p = 0.5 * (y2[0] + y2[1] + y2[2])
+    q = sym_det(y)
+    power = Vec3(0.0, 0.0, 1.0)
+    f = Vec3(1.0, 1.0, 0.5)
+    for k in ti.static(range(3, ORDER + 1)):
+        following = Vec3(power[2] * q, power[0] + power[2] * p, power[1])
+        power = following
+        f = f + ti.static(1.0 / factorial(k)) * power
+    result = f[1] * y + f[2] * y2 + Sym(f[0], f[0], f[0], 0.0, 0.0, 0.0)
+    for _ in range(halvings):
+        squared = sym_square(result)
+        result = squared
+    return result
+
+
+@ti.func
+def hencky_return(trial, shear, bulk, yield_strain, largest_volume):
+    """Return mapping: b after yield and the Kirchhoff stress [Pa], both packed.
+
+    Hencky energy: tau = 2 mu dev(e) + K tr(e) I with e = log(b)/2. The deviator is limited to
+    `yield_strain` = sqrt(2/3) sigma_y / (2 mu) (von Mises), which leaves det b as it is. J =
+    sqrt(det b) is limited to `largest_volume`, and b is scaled to match.
+    """
+    doubled, log_det = sym_log(trial)
+    strain = 0.5 * doubled
+    size2 = sym_norm2(strain)
+    capped = ti.min(log_det, 2.0 * ti.log(largest_volume))
+    shrink = 1.0
+    b = trial * ti.exp((capped - log_det) / 3.0)
+    if size2 > yield_strain * yield_strain:
+        shrink = yield_strain / ti.sqrt(size2)
+        b = ti.exp(capped / 3.0) * sym_exp_deviator((2.0 * shrink) * strain)
+    pressure = 0.5 * bulk * capped
+    tau = (2.0 * shear * shrink) * strain + Sym(pressure, pressure, pressure, 0.0, 0.0, 0.0)
+    return b, tau

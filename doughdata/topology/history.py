@@ -1,0 +1,299 @@
+"""The causal pass: carry the bond graph through the key frames and decide merges and splits."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from doughschemas import Particles, Scene
+from jaxtyping import Float64, Int32, Int64, UInt8
+from scipy.spatial import cKDTree
+
+from doughdata.stages import PullApart
+from doughdata.topology.bonds import BondGraph
+from doughdata.topology.config import DynamicConfig
+from doughdata.topology.crops import SIDE_BOND, chunks, crop, sides
+from doughdata.topology.fingers import Gripper, gripper_at
+from doughdata.topology.merges import Patch, merge_patches
+from doughdata.topology.pairs import connected, decode, encode, is_member, lengths
+from doughdata.topology.pulls import PullTest, disjoint_paths, make_test, run_tests
+from doughdata.topology.splits import Neck, split_necks
+
+__all__ = ["Decision", "FrameState", "History"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Decision:
+    """One answered question: does this patch hold, is this neck parted?"""
+
+    kind: str  # merge | split
+    centre: Float64[np.ndarray, " 3"]  # [m]
+    size: int  # contact pairs of a patch, particles of a neck
+    gap: float  # [spacings] of a patch, opening in spacings of a neck
+    paths: int
+    passed: bool
+    margin: float  # distance of `paths` from the threshold, in units of the threshold
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameState:
+    """What the causal pass knows of one key frame."""
+
+    pieces: Int32[np.ndarray, " particles"]
+    contacts: Int64[np.ndarray, "contacts 2"]  # unmerged near pairs
+    walls: Int64[np.ndarray, "walls 2"]  # the contacts whose sides are apart nearby
+    decisions: tuple[Decision, ...]
+    bonds: Int64[np.ndarray, " bonds"]  # keys of the published bonds
+
+
+@dataclass(slots=True)
+class History:
+    """State carried from key frame to key frame."""
+
+    scene: Scene
+    particles: Particles
+    config: DynamicConfig
+    puller: PullApart | None
+    graph: BondGraph
+    decisions: list[Decision] = field(default_factory=list)  # of the present key frame
+    standing: list[Decision] = field(default_factory=list)  # last answers, by place
+    action: int = 0
+
+    @classmethod
+    def start(
+        cls, scene: Scene, particles: Particles, config: DynamicConfig, puller: PullApart | None
+    ) -> "History":
+        """Before the first key frame: every body is one piece if its particles are near."""
+        graph = BondGraph(
+            np.asarray(particles.positions[0], dtype=np.float64),
+            particles.object_ids,
+            particles.spacing,
+            reach=config.reach,
+            link=config.link,
+            start=config.start,
+            support_new=config.support_new,
+            support_old=config.support_old,
+        )
+        return cls(scene=scene, particles=particles, config=config, puller=puller, graph=graph)
+
+    def step(self, frame: int) -> FrameState:
+        """Advance to a key frame and decide."""
+        poses = self.particles.tool_poses
+        if int(poses.action[frame]) != self.action:
+            self.action = int(poses.action[frame])
+            self.graph.start_action()
+            self.standing = []
+        self.decisions = []
+        x = np.asarray(self.particles.positions[frame], dtype=np.float64)
+        if frame > 0:
+            self.graph.advance(x)
+        gripper = gripper_at(self.scene, poses, frame)
+        self._cross(gripper)
+        self._split(gripper)
+        self._merge()
+        return self._state()
+
+    def _cross(self, gripper: Gripper) -> None:
+        """Break bonds through a finger: a rigid body is between their ends."""
+        graph, s = self.graph, self.graph.spacing
+        close = (gripper.distances(graph.positions) < graph.reach * s / 2).any(axis=0)
+        if not close.any():
+            return
+        keys = graph.near[close[graph.near // graph.count] & close[graph.near % graph.count]]
+        ends = graph.positions[decode(keys, graph.count)]
+        through = gripper.between(ends[:, 0], ends[:, 1], self.config.finger_depth * s)
+        if through.any():
+            graph.cross(keys[through])
+
+    def _split(self, gripper: Gripper) -> None:
+        config, graph = self.config, self.graph
+        necks = split_necks(graph, gripper, radius=config.crop, gate=config.neck_gate)
+        asked = [neck for neck in necks if not self._settled(*_neck_key(neck, graph.spacing))]
+        tests = [self._neck_test(neck, gripper) for neck in asked]
+        for neck, test, pulled in zip(asked, tests, run_tests(tests, self.puller), strict=True):
+            paths = self._paths(pulled, test)
+            parted = paths < config.split_paths
+            self._note(*_neck_key(neck, graph.spacing), paths, parted, config.split_paths)
+            if parted:
+                graph.cut(self._cut_sides(pulled, test, paths))
+
+    def _neck_test(self, neck: Neck, gripper: Gripper) -> PullTest:
+        return make_test(
+            self.graph.positions,
+            first=neck.first,
+            second=neck.second,
+            core=np.union1d(neck.core, neck.around),
+            direction=gripper.lateral,
+            near=neck.core,
+            **self._pull_settings(),
+        )
+
+    def _pull_settings(self) -> dict[str, float]:
+        config = self.config
+        return {
+            "handle": config.handle,
+            "distance": config.pull_distance,
+            "speed": config.pull_speed,
+            "spacing": self.graph.spacing,
+        }
+
+    def _paths(self, positions: Float64[np.ndarray, "crop 3"], test: PullTest) -> int:
+        radius = self.config.path_radius * self.graph.spacing
+        return disjoint_paths(positions, test.first, test.second, radius)
+
+    def _cut_sides(
+        self, pulled: Float64[np.ndarray, "crop 3"], test: PullTest, paths: int
+    ) -> UInt8[np.ndarray, " particles"]:
+        """Side 1 or 2 of every particle of the crop: the end that it stays with."""
+        near = cKDTree(pulled)
+        radius = self.config.path_radius * self.graph.spacing
+        while True:
+            piece = connected(near.query_pairs(radius, output_type="ndarray"), len(pulled))
+            held = [np.isin(piece, piece[end]) for end in (test.first, test.second)]
+            if not (held[0] & held[1]).any() or paths == 0:
+                break
+            radius *= 0.9
+        own = held[0] + 2 * held[1]
+        loose = np.flatnonzero((own == 0) | (own == 3))
+        if len(loose):
+            known = np.flatnonzero((own == 1) | (own == 2))
+            own[loose] = own[known[cKDTree(pulled[known]).query(pulled[loose])[1]]]
+        side = np.zeros(self.graph.count, np.uint8)
+        side[test.indices] = own
+        return side
+
+    def _merge(self) -> None:
+        config, graph = self.config, self.graph
+        patches = merge_patches(
+            graph,
+            gap=config.patch_gap,
+            link=config.patch_link,
+            length=config.patch_length,
+            radius=config.crop,
+            seam_gap=config.seam_gap,
+        )
+        asked, tests = [], []
+        for patch in patches:
+            if self._settled(*_patch_key(patch)):
+                continue
+            test = self._patch_test(patch)
+            before = self._paths(test.problem.positions, test)
+            if before < config.merged_paths:  # pulling only takes paths away
+                self._note(*_patch_key(patch), before, False, config.merged_paths)
+                continue
+            asked.append(patch)
+            tests.append(test)
+        for patch, test, pulled in zip(asked, tests, run_tests(tests, self.puller), strict=True):
+            paths = self._paths(pulled, test)
+            merged = paths >= config.merged_paths
+            self._note(*_patch_key(patch), paths, merged, config.merged_paths)
+            if merged:
+                graph.join(encode(patch.pairs, graph.count))
+
+    def _patch_test(self, patch: Patch) -> PullTest:
+        return make_test(
+            self.graph.positions,
+            first=patch.first,
+            second=patch.second,
+            core=patch.core,
+            direction=patch.normal,
+            near=patch.core,
+            **self._pull_settings(),
+        )
+
+    def _settled(
+        self, kind: str, centre: Float64[np.ndarray, " 3"], size: int, gap: float
+    ) -> bool:
+        """Whether the same place was asked before and has hardly changed since."""
+        for known in self.standing:
+            if known.kind != kind or np.linalg.norm(known.centre - centre) > self.config.same_place:
+                continue
+            if known.kind == "merge":
+                grown = size > self.config.grown * known.size
+                return not (grown or gap < known.gap - self.config.closer)
+            return gap > known.gap - self.config.closer
+        return False
+
+    def _note(
+        self,
+        kind: str,
+        centre: Float64[np.ndarray, " 3"],
+        size: int,
+        gap: float,
+        paths: int,
+        passed: bool,
+        threshold: int,
+    ) -> None:
+        margin = abs(paths - (threshold - 0.5)) / threshold
+        made = Decision(
+            kind=kind,
+            centre=centre,
+            size=size,
+            gap=gap,
+            paths=paths,
+            passed=passed,
+            margin=margin,
+        )
+        self.decisions.append(made)
+        far = self.config.same_place
+        self.standing = [
+            d
+            for d in self.standing
+            if d.kind != kind or np.linalg.norm(d.centre - centre) > far
+        ]
+        if not passed:
+            self.standing.append(made)
+
+    def _state(self) -> FrameState:
+        graph = self.graph
+        pieces = graph.pieces()
+        contacts = decode(graph.contacts, graph.count)
+        published = graph.bonds
+        short = lengths(graph.positions, decode(published, graph.count))
+        return FrameState(
+            pieces=pieces,
+            contacts=contacts,
+            walls=self._walls(contacts, pieces),
+            decisions=tuple(self.decisions),
+            bonds=published[short < self.config.published * graph.spacing],
+        )
+
+    def _walls(
+        self, contacts: Int64[np.ndarray, "contacts 2"], pieces: Int32[np.ndarray, " particles"]
+    ) -> Int64[np.ndarray, "walls 2"]:
+        """Contacts inside a piece whose two sides do not join nearby.
+
+        Where they do, the contact is a fold or the rim of a seam, and no hole.
+        """
+        graph, config = self.graph, self.config
+        inner = contacts[pieces[contacts[:, 0]] == pieces[contacts[:, 1]]]
+        if len(inner) == 0:
+            return inner
+        kept = is_member(encode_rows(inner, graph.count), graph.crossed)
+        kept |= graph.locked(encode_rows(inner, graph.count))
+        bonds = graph.bonded_pairs(SIDE_BOND)
+        s = graph.spacing
+        for rows in chunks(
+            graph.positions,
+            inner,
+            longest=graph.reach * s,
+            link=config.patch_link * s,
+            length=config.wall_length,
+        ):
+            near = crop(graph.positions, np.unique(inner[rows]), config.wall_length)
+            piece = sides(graph, bonds, near)
+            apart = piece[inner[rows, 0]] != piece[inner[rows, 1]]
+            if apart.mean() >= 0.5:
+                kept[rows] = True
+        return inner[kept]
+
+
+def encode_rows(pairs: Int64[np.ndarray, "pairs 2"], count: int) -> Int64[np.ndarray, " pairs"]:
+    """Keys in the order of the rows (lower particle first in each)."""
+    return pairs[:, 0] * count + pairs[:, 1]
+
+
+def _patch_key(patch: Patch) -> tuple[str, Float64[np.ndarray, " 3"], int, float]:
+    return "merge", patch.centre, len(patch.pairs), patch.gap
+
+
+def _neck_key(neck: Neck, spacing: float) -> tuple[str, Float64[np.ndarray, " 3"], int, float]:
+    return "split", neck.centre, len(neck.core), neck.opening / spacing

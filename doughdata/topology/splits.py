@@ -1,0 +1,124 @@
+"""Split candidates: necks of dough between the fingers."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from scipy.spatial import cKDTree
+
+from doughdata.topology.bonds import BondGraph
+from doughdata.topology.crops import SIDE_BOND, crop, sides
+from doughdata.topology.fingers import Gripper
+
+__all__ = ["Neck", "split_necks"]
+
+SMALLEST_SIDE = 15  # particles
+BESIDE = 0.006  # [m], of dough beside a neck over which its thickness is measured
+TOUCH = 1.0  # [spacings], a particle this close to a finger touches it
+LATERAL = 0.5  # [spacings], by which a neck reaches beyond the contact faces
+ADJACENT = 2.2  # [spacings], between a neck and the dough beside it
+SMALLEST_CROP = 0.008  # [m]
+SHRINK = 0.8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Neck:
+    """Bonded particles between the fingers with dough on both sides along the lateral axis."""
+
+    core: Int64[np.ndarray, " core"]
+    first: Int64[np.ndarray, " first"]  # on the negative lateral side
+    second: Int64[np.ndarray, " second"]
+    around: Int64[np.ndarray, " crop"]
+    opening: float  # [m], gap between the fingers where the neck is thinnest
+    centre: Float64[np.ndarray, " 3"]  # [m]
+
+
+def split_necks(graph: BondGraph, gripper: Gripper, *, radius: float, gate: float) -> list[Neck]:
+    """Necks thinner than `gate` times the dough beside them, within a crop of `radius` [m]."""
+    x, s = graph.positions, graph.spacing
+    region, opening = _between_fingers(x, s, gripper)
+    if len(region) == 0:
+        return []
+    bonds = graph.bonded_pairs(SIDE_BOND)
+    piece = sides(graph, bonds, region)
+    necks = []
+    for number in np.unique(piece[region]):
+        core = region[piece[region] == number]
+        neck = _neck(graph, bonds, gripper, core, opening, radius)
+        if neck is not None and opening < gate * _thickness(x, gripper, neck):
+            necks.append(neck)
+    return sorted(necks, key=lambda neck: tuple(neck.centre))
+
+
+def _between_fingers(
+    x: Float64[np.ndarray, "particles 3"], s: float, gripper: Gripper
+) -> tuple[Int64[np.ndarray, " region"], float]:
+    """Particles in the gap when both fingers touch dough, and the gap there [m].
+
+    Between two faces the distances to both fingers add up to the gap; elsewhere to more.
+    """
+    middle = gripper.position.mean(axis=0)
+    half = np.linalg.norm(gripper.position[0] - gripper.position[1]) / 2
+    along = np.abs((x - middle) @ gripper.closing)
+    close = np.flatnonzero(along < half + s)
+    none = np.zeros(0, np.int64)
+    if len(close) == 0:
+        return none, 0.0
+    distance = gripper.distances(x[close])
+    total = np.maximum(distance, 0.0).sum(axis=0)
+    touching = (distance < TOUCH * s).sum(axis=1)
+    # Between nearly closed fingers there may be no particle left to touch them.
+    if 2 * half > 2 * s and (touching < 1).any():
+        return none, 0.0
+    gap = float(np.clip(total.min(), 0.0, None))
+    return close[total < gap + LATERAL * s], gap
+
+
+def _neck(
+    graph: BondGraph,
+    bonds: Int64[np.ndarray, "bonds 2"],
+    gripper: Gripper,
+    core: Int64[np.ndarray, " core"],
+    opening: float,
+    radius: float,
+) -> Neck | None:
+    """The neck of one cluster if dough lies on both its sides and is not joined around it."""
+    x = graph.positions
+    across = x @ gripper.lateral
+    middle = across[core].mean()
+    tree = cKDTree(x[core])
+    while radius >= SMALLEST_CROP:
+        around = crop(x, core, radius)
+        piece = sides(graph, bonds, around, leave_out=core)
+        rest = around[piece[around] >= 0]
+        distance, _ = tree.query(x[rest])
+        first, second = [], []
+        for number in np.unique(piece[rest]):
+            own = piece[rest] == number
+            if own.sum() >= SMALLEST_SIDE and distance[own].min() < ADJACENT * graph.spacing:
+                side = rest[own]
+                (first if across[side].mean() < middle else second).append(side)
+        if first and second:
+            return Neck(
+                core=core,
+                first=np.concatenate(first),
+                second=np.concatenate(second),
+                around=around,
+                opening=opening,
+                centre=x[core].mean(axis=0),
+            )
+        radius *= SHRINK
+    return None
+
+
+def _thickness(x: Float64[np.ndarray, "particles 3"], gripper: Gripper, neck: Neck) -> float:
+    """Thickness [m] along the closing axis of the thinner side, next to the neck."""
+    along, across = x @ gripper.closing, x @ gripper.lateral
+    middle = across[neck.core].mean()
+    thickness = []
+    for side in (neck.first, neck.second):
+        away = np.abs(across[side] - middle)
+        beside = along[side[away < away.min() + BESIDE]]
+        low, high = np.percentile(beside, (3, 97))
+        thickness.append(float(high - low))
+    return min(thickness)

@@ -1,0 +1,148 @@
+"""From pieces to labels that stay, and from labels and genus to events."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from doughschemas import STRAY, TopologyEvent
+from jaxtyping import Float64, Int32, UInt8
+
+from doughdata.topology.pairs import connected
+
+__all__ = ["components_of", "find_events", "first_labels", "next_labels"]
+
+MOST_COMPONENTS = 250  # labels are bytes, the highest are reserved
+
+
+def components_of(
+    pieces: Int32[np.ndarray, " particles"], *, crumb: float
+) -> list[Int32[np.ndarray, " _"]]:
+    """Particles of each piece of at least `crumb` particles, largest first.
+
+    The largest piece is always a component; so is at most every one of the 250 largest.
+    """
+    order = np.argsort(pieces, kind="stable").astype(np.int32)
+    parts = np.split(order, np.flatnonzero(np.diff(pieces[order])) + 1)
+    parts.sort(key=len, reverse=True)
+    kept = [part for part in parts if len(part) >= crumb] or parts[:1]
+    return kept[:MOST_COMPONENTS]
+
+
+def first_labels(
+    parts: Sequence[Int32[np.ndarray, " _"]],
+    positions: Float64[np.ndarray, "particles 3"],
+    object_ids: UInt8[np.ndarray, " particles"],
+) -> UInt8[np.ndarray, " particles"]:
+    """Labels of the first frame: by body, then from the largest piece to the smallest."""
+
+    def key(part: Int32[np.ndarray, " _"]) -> tuple[float, ...]:
+        return (float(np.median(object_ids[part])), -len(part), *positions[part].mean(axis=0))
+
+    return _label(len(positions), sorted(parts, key=key))
+
+
+def next_labels(
+    parts: Sequence[Int32[np.ndarray, " _"]],
+    before: UInt8[np.ndarray, " particles"],
+    positions: Float64[np.ndarray, "particles 3"],
+) -> UInt8[np.ndarray, " particles"]:
+    """Labels of the next frame, 0..c-1.
+
+    A component keeps its label while it lives. After a split the largest piece keeps it and the
+    others get the next free ones, largest first; a merged component keeps the lowest. Where a label
+    dies, the highest takes its place.
+    """
+    number = int(before[before != STRAY].max(initial=-1)) + 1
+    shared = np.zeros((len(parts), number), dtype=int)
+    for row, part in enumerate(parts):
+        old = before[part]
+        shared[row] = np.bincount(old[old != STRAY], minlength=number)[:number]
+    middle = [tuple(positions[part].mean(axis=0)) for part in parts]
+    heirs: list[int | None] = [None] * len(parts)
+    for old in range(number):
+        best = max(range(len(parts)), key=lambda k: (shared[k, old], middle[k]), default=None)
+        if best is not None and shared[best, old] > 0 and heirs[best] is None:
+            heirs[best] = old
+    kept = {old: row for row, old in enumerate(heirs) if old is not None}
+    fresh = sorted(
+        (row for row, old in enumerate(heirs) if old is None), key=lambda k: (-len(parts[k]), middle[k])
+    )
+    free = [k for k in range(len(parts)) if k not in kept]
+    high = sorted((old for old in kept if old >= len(parts)), reverse=True)
+    for place, row in zip(free, [*(kept.pop(old) for old in high), *fresh], strict=True):
+        kept[place] = row
+    return _label(len(before), [parts[kept[k]] for k in range(len(parts))])
+
+
+def _label(count: int, parts: Sequence[Int32[np.ndarray, " _"]]) -> UInt8[np.ndarray, " particles"]:
+    labels = np.full(count, STRAY, dtype=np.uint8)
+    for k, part in enumerate(parts):
+        labels[part] = k
+    return labels
+
+
+def find_events(
+    frame: int,
+    before: UInt8[np.ndarray, " particles"],
+    after: UInt8[np.ndarray, " particles"],
+    genus_before: Sequence[int],
+    genus_after: Sequence[int],
+    *,
+    cut: bool,
+    margins: dict[str, float],
+    share: float = 0.1,
+) -> list[TopologyEvent]:
+    """What happened between two key frames.
+
+    Components that share particles (over `share` of the smaller one) form a group. Its number of
+    components tells merges and splits; what its total genus then gains or loses is a self-merge
+    (a new handle, or a hole that closed) or, where a neck was `cut` and the genus fell, a
+    self-split. `margins` are those of the decisions of these frames, by kind.
+    """
+    events = []
+    for old, new in _groups(before, after, len(genus_before), len(genus_after), share):
+        gain = sum(genus_after[k] for k in new) - sum(genus_before[k] for k in old)
+        kinds = []
+        if len(old) > 1 and (len(new) < len(old) or len(new) > 1):
+            kinds.append("merge")
+        if len(new) > 1 and (len(new) > len(old) or len(old) > 1):
+            kinds.append("split")
+        if gain != 0:
+            kinds.append("self_split" if gain < 0 and cut else "self_merge")
+        for kind in kinds:
+            margin = margins.get(kind.removeprefix("self_"), 0.0)
+            events.append(
+                TopologyEvent(
+                    frame=frame,
+                    kind=kind,
+                    components_before=tuple(old),
+                    components_after=tuple(new),
+                    margin=float(margin),
+                )
+            )
+    return events
+
+
+def _groups(
+    before: UInt8[np.ndarray, " particles"],
+    after: UInt8[np.ndarray, " particles"],
+    number_before: int,
+    number_after: int,
+    share: float,
+) -> list[tuple[list[int], list[int]]]:
+    """Labels before and after that belong together, in the order of the lowest label."""
+    both = (before != STRAY) & (after != STRAY)
+    table = np.zeros((number_before, number_after), dtype=int)
+    np.add.at(table, (before[both], after[both]), 1)
+    size_before = np.bincount(before[before != STRAY], minlength=number_before)
+    size_after = np.bincount(after[after != STRAY], minlength=number_after)
+    smaller = np.minimum(size_before[:, None], size_after[None, :])
+    rows, columns = np.nonzero(table > share * np.maximum(smaller, 1))
+    links = np.stack([rows, columns + number_before], axis=1)
+    group = connected(links, number_before + number_after)
+    found = []
+    for number in dict.fromkeys(group.tolist()):
+        members = np.flatnonzero(group == number)
+        old = [int(k) for k in members if k < number_before]
+        new = [int(k) - number_before for k in members if k >= number_before]
+        found.append((old, new))
+    return found
