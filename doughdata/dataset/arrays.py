@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from math import ceil, prod
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from doughschemas import SCHEMA_VERSION, DamagedDatasetError
@@ -32,7 +32,7 @@ class ArraySpec:
     axes: tuple[str, ...]  # names of the dimensions; the first is the row
     fill: float  # value of padding
     by_row: bool = True  # one chunk a row; False: all rows in one chunk, for small numbers
-    shuffle: str = "bitshuffle"
+    shuffle: Literal["shuffle", "bitshuffle"] = "bitshuffle"
     attributes: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -198,7 +198,7 @@ def _verified(data: bytes, where: str) -> bytes:
 
 
 def _decode(data: bytes, dtype: np.dtype, chunk: tuple[int, ...], where: str) -> np.ndarray:
-    from numcodecs import blosc
+    from numcodecs import blosc  # pyright: ignore[reportAttributeAccessIssue] (compiled)
 
     try:
         return np.frombuffer(blosc.decompress(data), dtype, count=prod(chunk)).reshape(chunk)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from hashlib import sha256
+from typing import Any
 
 from doughschemas import Scene, Tool
 
@@ -14,7 +15,7 @@ ASSETS = "assets/tools/"
 
 
 def store_tools(store: Store, scene: Scene) -> Scene:
-    """Copy tool meshes to `assets/tools/<sha256>.glb` [m, finger frame]; the scene names the copy."""
+    """Copy tool meshes to `assets/tools/<sha256>.glb` [m, finger frame]; the scene names these."""
     return replace(scene, tools=tuple(_stored(store, tool) for tool in scene.tools))
 
 
@@ -35,7 +36,7 @@ def _stored(store: Store, tool: Tool) -> Tool:
     own = str(store.local(ASSETS))
     if tool.mesh.startswith(own):  # a scene of this dataset that was resolved before
         return replace(tool, mesh=ASSETS + tool.mesh[len(own) :].lstrip("/"))
-    data = finger_mesh(tool).export(file_type="glb")
+    data: Any = finger_mesh(tool).export(file_type="glb")
     path = f"{ASSETS}{sha256(data).hexdigest()}.glb"
     store.create(path, data)
     return replace(tool, mesh=path, scale=1.0)

@@ -111,7 +111,7 @@ def newest_revisions(store: Store, layer: str) -> dict[str, int]:
     """Shard -> highest committed revision of a layer."""
     newest: dict[str, int] = {}
     for name in store.names(f"meta/commits/{layer}"):
-        shard, revision, suffix = (name.split(".") + ["", ""])[:3]
+        shard, revision, suffix = [*name.split("."), "", ""][:3]
         if suffix == "json" and revision.isdigit():
             newest[shard] = max(newest.get(shard, -1), int(revision))
     return newest

@@ -1,4 +1,4 @@
-"""What the numbers must satisfy (`validate --deep`): one method a layer, one generator of problems."""
+"""What the numbers must satisfy (`validate --deep`): one method a layer."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -181,7 +181,7 @@ class ContentCheck:
         spacing = sim.table("scenes").scene(scene)["particle_spacing"][0].as_py()
         expected = np.count_nonzero(labels != STRAY) * spacing**3
         volume = sum(mesh_volume(mesh.vertices, mesh.faces) for mesh in meshes)
-        error = abs(volume - expected) / expected if expected else 0.0
+        error = float(abs(volume - expected) / expected) if expected else 0.0
         self._volume_error = max(self._volume_error, error)
         if frame == self.num_frames - 1:
             self._final_volume_error = max(self._final_volume_error, error)

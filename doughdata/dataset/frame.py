@@ -127,8 +127,8 @@ class Frame:
         views = decode_depth(self._dataset.layer(f"depth.{sensor}", self.scene_index), *self._key)
         if len(views.depth) == 0:
             raise MissingLayerError(
-                f"{self._dataset.uri}: key frame {self.frame_index} of scene {self.scene_index} has "
-                f"no depth view; make it with `doughdata render --noise {sensor} --all-frames`"
+                f"{self._dataset.uri}: key frame {self.frame_index} of scene {self.scene_index} "
+                f"has no depth view; make it with `doughdata render --noise {sensor} --all-frames`"
             )
         return views
 

@@ -23,7 +23,7 @@ def component_count(edges: Integer[np.ndarray, "edges 2"], nodes: int) -> int:
 
 
 def mesh_watertight(faces: Integer[np.ndarray, "faces 3"], vertices: int) -> bool:
-    """Whether every edge is used once in each direction: closed, manifold edges, one orientation."""
+    """Whether every edge is used once in each direction: closed, manifold, one orientation."""
     if len(faces) == 0 or faces.max() >= vertices:
         return False
     start = faces.astype(np.int64).ravel()

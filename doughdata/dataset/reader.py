@@ -16,7 +16,6 @@ import pyarrow as pa
 from doughschemas import (
     BadInputError,
     ComponentMeshes,
-    DatasetError,
     DepthViews,
     MissingLayerError,
     Particles,

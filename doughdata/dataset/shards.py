@@ -62,7 +62,7 @@ def read_table(path: Path) -> pa.Table:
 
 
 class TableIndex:
-    """A table that is sorted by scene_index and frame_index, with fast look-up of a frame's rows."""
+    """A table that is sorted by scene_index and frame_index, with fast look-up of a frame."""
 
     def __init__(self, table: pa.Table, *, num_frames: int) -> None:
         self.table = table

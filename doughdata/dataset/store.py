@@ -97,7 +97,7 @@ class LocalStore:
     def names(self, folder: str) -> list[str]:
         """Sorted names directly in a folder; unpublished files are left out."""
         try:
-            names = os.listdir(self.local(folder))
+            names = [entry.name for entry in self.local(folder).iterdir()]
         except (FileNotFoundError, NotADirectoryError):
             return []
         return sorted(name for name in names if not name.startswith(TEMPORARY))
@@ -110,7 +110,7 @@ class LocalStore:
         )
 
     def create(self, path: str, data: bytes) -> bool:
-        """Publish a file unless it exists: temporary file, then a hard link, which never replaces."""
+        """Publish a file unless it exists: a hard link to a finished file never replaces."""
         target = self.local(path)
         with explain_os_errors(self._uri, f"write {path}"), _temporary(target, data) as temporary:
             try:
@@ -124,7 +124,7 @@ class LocalStore:
         """Write or overwrite a file atomically."""
         target = self.local(path)
         with explain_os_errors(self._uri, f"write {path}"), _temporary(target, data) as temporary:
-            os.replace(temporary, target)
+            temporary.replace(target)
             sync_folder(target.parent)
 
     def local(self, path: str) -> Path:

@@ -1,5 +1,6 @@
 """Derived tables: rebuilt from the commits at any time, replaced one by one, each atomically."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
@@ -8,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from doughschemas import SCHEMA_VERSION
 
@@ -98,6 +98,7 @@ TABLES = {  # name -> columns; SPEC.md says what they mean
     ],
 }
 Parts = dict[str, list[pa.Table]]
+Times = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (scene_index, frame_index) -> [s]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,11 +157,11 @@ def build_info(
     """The info with totals, splits, features, stages and fingerprint brought up to date."""
     commits = [commit for shard in log.shards for commit in log.fresh(shard).values()]
     stages = {commit.layer: commit.stage.to_json() for commit in commits}
-    splits = {}
-    for split in sorted(set(tables["scenes"]["split"].to_pylist())):
-        scenes = tables["scenes"].filter(pc.equal(tables["scenes"]["split"], split))
-        frames = pc.sum(scenes["num_frames"]).as_py()
-        splits[split] = {"scenes": len(scenes), "frames": frames}
+    counts = Counter(tables["scenes"]["split"].to_pylist())
+    splits = {
+        split: {"scenes": count, "frames": count * info["num_frames"]}
+        for split, count in sorted(counts.items())
+    }
     return {
         **info,
         "stages": {**info["stages"], **stages},
@@ -226,9 +227,7 @@ def _timestamps(
     return lambda scene, frame: times[np.searchsorted(scenes, scene), frame]
 
 
-def _with_index(
-    table: pa.Table, timestamps: Callable[[np.ndarray, np.ndarray], np.ndarray], num_frames: int
-) -> pa.Table:
+def _with_index(table: pa.Table, timestamps: Times, num_frames: int) -> pa.Table:
     """Add `index` (scene_index * num_frames + frame_index) and `timestamp` [s]."""
     scene, frame = table["scene_index"].to_numpy(), table["frame_index"].to_numpy()
     if "timestamp" not in table.column_names:
@@ -248,18 +247,13 @@ def _with_failures(scenes: pa.Table, commits: Mapping[str, CommitRecord]) -> pa.
 def _topology_columns(frames: pa.Table, topology: pa.Table | None, num_frames: int) -> pa.Table:
     """Frames of `sim` with the columns of `topology`; null where a scene has none."""
     if topology is None:
-        keys = np.zeros(0, np.int64)
+        columns: dict[str, Any] = {k: pa.nulls(len(frames), t) for k, t in TOPOLOGY_COLUMNS}
     else:
-        keys = _keys(topology, num_frames)
-    wanted = _keys(frames, num_frames)
-    if len(keys):
+        keys, wanted = _keys(topology, num_frames), _keys(frames, num_frames)
         place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
         indices = pa.array(place, mask=keys[place] != wanted)
-    for name, dtype in TOPOLOGY_COLUMNS:
-        if topology is None or not len(keys):
-            column: Any = pa.nulls(len(frames), dtype)
-        else:
-            column = topology[name].take(indices)
+        columns = {name: topology[name].take(indices) for name, _ in TOPOLOGY_COLUMNS}
+    for name, column in columns.items():
         frames = frames.append_column(name, column)
     return frames
 

@@ -39,7 +39,6 @@ from doughdata.dataset.plan import (
 )
 from doughdata.dataset.shards import ARRAYS, Encoded, ShardRows, write_table
 from doughdata.dataset.store import (
-    LocalStore,
     Store,
     attempt_folder,
     explain_os_errors,
@@ -222,9 +221,8 @@ class DatasetWriter:
 
     def _publish(self, commit: CommitRecord) -> CommitRecord:
         """Create the commit record; if it exists, drop this attempt and take that one."""
-        if not self.store.create(commit.name, commit.dump()):
-            if commit.path is not None:
-                remove_attempt(self.store, commit.path)
+        if not self.store.create(commit.name, commit.dump()) and commit.path is not None:
+            remove_attempt(self.store, commit.path)
         return read_commit(self.store, commit.layer, commit.shard, commit.revision)
 
     def _plan(self, shard: str) -> PlanRecord:

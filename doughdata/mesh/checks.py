@@ -1,7 +1,7 @@
 """What the mesh of a component must satisfy, and its measures."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 
 from doughdata.registry import require_package
 
@@ -15,13 +15,13 @@ __all__ = [
 ]
 
 
-def _half_edges(faces: Int[np.ndarray, "faces 3"]) -> Int[np.ndarray, "half_edges 2"]:
+def _half_edges(faces: Integer[np.ndarray, "faces 3"]) -> Integer[np.ndarray, "half_edges 2"]:
     """Start and end of every half-edge; half-edge i * faces + f leaves corner i of face f."""
     faces = np.asarray(faces, np.int64)
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
-def is_edge_manifold(faces: Int[np.ndarray, "faces 3"]) -> bool:
+def is_edge_manifold(faces: Integer[np.ndarray, "faces 3"]) -> bool:
     """Whether every edge has two faces that run along it in opposite directions.
 
     Such a mesh is closed (watertight) and consistently oriented.
@@ -34,7 +34,7 @@ def is_edge_manifold(faces: Int[np.ndarray, "faces 3"]) -> bool:
     return unique and bool((forward == backward).all()) and bool((edges[:, 0] != edges[:, 1]).all())
 
 
-def is_vertex_manifold(faces: Int[np.ndarray, "faces 3"]) -> bool:
+def is_vertex_manifold(faces: Integer[np.ndarray, "faces 3"]) -> bool:
     """Whether the faces around every vertex form one fan; only for edge-manifold meshes."""
     count = len(faces)
     edges = _half_edges(faces)
@@ -48,14 +48,14 @@ def is_vertex_manifold(faces: Int[np.ndarray, "faces 3"]) -> bool:
     return fans == len(np.unique(faces))
 
 
-def shell_count(faces: Int[np.ndarray, "faces 3"]) -> int:
+def shell_count(faces: Integer[np.ndarray, "faces 3"]) -> int:
     """Number of connected surfaces."""
     edges = _half_edges(faces)
     size = int(edges.max(initial=-1)) + 1
     return _components(edges[:, 0], edges[:, 1], size) - (size - len(np.unique(faces)))
 
 
-def mesh_genus(faces: Int[np.ndarray, "faces 3"]) -> int:
+def mesh_genus(faces: Integer[np.ndarray, "faces 3"]) -> int:
     """First Betti number of the solid: sum over shells of 1 - chi / 2; closed meshes only.
 
     For a solid without cavities this is its number of handles; a cavity adds its own genus.
@@ -66,7 +66,7 @@ def mesh_genus(faces: Int[np.ndarray, "faces 3"]) -> int:
 
 
 def mesh_volume(
-    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+    vertices: Float[np.ndarray, "vertices 3"], faces: Integer[np.ndarray, "faces 3"]
 ) -> float:
     """Enclosed volume, in the cube of the vertices' unit; positive if oriented outward."""
     a, b, c = np.asarray(vertices, np.float64)[np.asarray(faces, np.int64).T]
@@ -74,14 +74,16 @@ def mesh_volume(
 
 
 def mesh_area(
-    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+    vertices: Float[np.ndarray, "vertices 3"], faces: Integer[np.ndarray, "faces 3"]
 ) -> float:
     """Surface area, in the square of the vertices' unit."""
     a, b, c = np.asarray(vertices, np.float64)[np.asarray(faces, np.int64).T]
     return float(np.sqrt((np.cross(b - a, c - a) ** 2).sum(axis=1)).sum() / 2.0)
 
 
-def _components(a: Int[np.ndarray, " pairs"], b: Int[np.ndarray, " pairs"], size: int) -> int:
+def _components(
+    a: Integer[np.ndarray, " pairs"], b: Integer[np.ndarray, " pairs"], size: int
+) -> int:
     """Connected components of `size` items joined in pairs."""
     sparse = require_package("scipy.sparse", extra="sim")
     csgraph = require_package("scipy.sparse.csgraph", extra="sim")

@@ -125,7 +125,7 @@ def _place_vertices(
     number = np.bincount(owner, minlength=count)
 
     def total(values: Float64[np.ndarray, " edges"]) -> Float64[np.ndarray, " cells"]:
-        return np.bincount(owner, values[which], count)
+        return np.bincount(owner, values[which], count) + 0.0  # floats even when empty
 
     mean = np.stack([total(p) for p in point.T], axis=1) / number[:, None]
     n = crossings.normal

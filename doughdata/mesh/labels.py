@@ -4,7 +4,7 @@ import numpy as np
 from doughschemas import NO_COMPONENT, LabelGrid
 from jaxtyping import Float, Float32, Int
 
-from doughdata.mesh.solid import Solid
+from doughdata.mesh.solid import Solid, shifted_field
 
 __all__ = ["label_grid"]
 
@@ -14,9 +14,13 @@ def label_grid(
 ) -> LabelGrid:
     """Sample a solid on the lattice of all multiples of `spacing` [m] around it.
 
-    A node belongs to a component where the trilinear field is below the component's `shift`
-    [cells], the distance by which its mesh lies outside field = 0. Grids of different frames share
-    one lattice, so they compare node by node.
+    A node belongs to a component where the trilinear field is negative. Grids of different frames
+    share one lattice, so they compare node by node.
+
+    Args:
+        solid: field and labels.
+        spacing: of the label grid [m].
+        shift: distance [cells] by which each component's mesh lies outside field = 0.
     """
     inside = np.argwhere(solid.labels != NO_COMPONENT)
     if not len(inside):
@@ -26,7 +30,7 @@ def label_grid(
     high = (inside.max(axis=0) + 1 + solid.origin) * solid.cell
     first = np.floor(low / spacing).astype(np.int64)
     count = np.ceil(high / spacing).astype(np.int64) - first + 1
-    values = solid.field
+    values = shifted_field(solid, shift)
     owner = solid.labels
     for axis in range(3):
         nodes = (first[axis] + np.arange(count[axis])) * (spacing / solid.cell)
@@ -34,9 +38,7 @@ def label_grid(
         index = position.astype(np.intp)
         values = _interpolate(values, axis, index, (position - index).astype(np.float32))
         owner = np.minimum(owner.take(index, axis), owner.take(index + 1, axis))
-    limit = np.zeros(NO_COMPONENT + 1, np.float32)
-    limit[: len(shift)] = shift
-    labels = np.where(values < limit[owner], owner, np.uint8(NO_COMPONENT))
+    labels = np.where(values < 0.0, owner, np.uint8(NO_COMPONENT))
     return LabelGrid(labels=labels, origin=first * float(spacing), spacing=float(spacing))
 
 

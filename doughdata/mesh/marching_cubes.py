@@ -4,17 +4,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from doughschemas import NO_COMPONENT, ComponentMesh, ComponentMeshes, FrameTopology
-from jaxtyping import Float32, Float64, Int, UInt8
+from jaxtyping import Float32, Float64, Int
 
 from doughdata.mesh.checks import mesh_area, mesh_volume
 from doughdata.mesh.labels import label_grid
-from doughdata.mesh.solid import Solid, SolidConfig, build_solid
+from doughdata.mesh.solid import Solid, SolidConfig, build_solid, shifted_field
 from doughdata.registry import require_package
 
 __all__ = ["MarchingCubes", "MarchingCubesConfig"]
 
 SHIFT_MAX = 0.4  # [cells], furthest that the surface moves to match a volume
-MARGIN = 0.02  # [cells], nodes keep their side by this much
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,11 +73,9 @@ def _contour(
 ) -> list[tuple[Float64[np.ndarray, "_ 3"], Int[np.ndarray, "_ 3"]]]:
     """Vertices [cells] and faces of every component, its surface moved out by `shift` [cells]."""
     measure = require_package("skimage.measure", extra="sim")
-    inside = solid.labels != NO_COMPONENT
-    if not inside.any():
+    if not (solid.labels != NO_COMPONENT).any():
         return [(np.zeros((0, 3)), np.zeros((0, 3), np.int64)) for _ in shift]
-    values = solid.field - _shift_field(solid.labels, shift)
-    values = np.where(inside, np.minimum(values, -MARGIN), np.maximum(values, MARGIN))
+    values = shifted_field(solid, shift)
     # "descent": the body is where the field is low
     vertices, faces, _, _ = measure.marching_cubes(values, 0.0, gradient_direction="descent")
     low = np.floor(vertices + 1e-4).astype(np.intp)
@@ -90,16 +87,3 @@ def _contour(
         rank = np.cumsum(mine) - 1
         pieces.append((vertices[mine].astype(np.float64), rank[faces[mine[faces[:, 0]]]]))
     return pieces
-
-
-def _shift_field(
-    labels: UInt8[np.ndarray, "nx ny nz"], shift: Float64[np.ndarray, " components"]
-) -> Float32[np.ndarray, "nx ny nz"] | float:
-    """Shift of the component at or beside each node."""
-    if np.ptp(shift) == 0.0:
-        return float(shift[0])
-    ndimage = require_package("scipy.ndimage", extra="sim")
-    near = ndimage.minimum_filter(labels, 3)  # no two components share a cell
-    table = np.zeros(NO_COMPONENT + 1, np.float32)
-    table[: len(shift)] = shift
-    return table[near]

@@ -11,8 +11,9 @@ from doughdata.mesh.lumps import bridge_lumps, drop_lumps, fill_cavities, seed_m
 from doughdata.mesh.repair import make_well_composed, separate
 from doughdata.mesh.walls import carve_gaps, cut_slits
 
-__all__ = ["Solid", "SolidConfig", "build_solid"]
+__all__ = ["Solid", "SolidConfig", "build_solid", "shifted_field"]
 
+MARGIN = 0.02  # [cells], a shifted field stays this far from zero, so that no node changes sides
 FAR = 1e3  # [cells], field where no component is near
 
 
@@ -163,3 +164,20 @@ def _component_field(
     if len(pairs):
         cut_slits(field, cloud, pairs)
     return field
+
+
+def shifted_field(
+    solid: Solid, shift: Float64[np.ndarray, " components"]
+) -> Float32[np.ndarray, "nx ny nz"]:
+    """Field whose zero level lies `shift` [cells] further out, with every node on its old side."""
+    near = solid.labels.copy()  # label of the component at or beside each node
+    for axis in range(3):
+        rows = np.moveaxis(near, axis, 0)
+        before = rows.copy()
+        np.minimum(rows[1:], before[:-1], out=rows[1:])
+        np.minimum(rows[:-1], before[1:], out=rows[:-1])
+    table = np.zeros(NO_COMPONENT + 1, np.float32)
+    table[: len(shift)] = shift
+    moved = solid.field - table[near]
+    inside = solid.labels != NO_COMPONENT
+    return np.where(inside, np.minimum(moved, -MARGIN), np.maximum(moved, MARGIN))

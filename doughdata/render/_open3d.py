@@ -3,11 +3,11 @@
 import re
 from typing import Any
 
-from doughschemas import DoughError
+from doughschemas import DoughError, MissingPackageError
 
 from doughdata.registry import require_package
 
-__all__ = ["import_open3d", "system_library_error"]
+__all__ = ["MissingLibraryError", "import_open3d", "system_library_error"]
 
 # Shared libraries that the Open3D wheel takes from the system -> Debian package.
 PACKAGES = {
@@ -18,13 +18,20 @@ PACKAGES = {
 }
 
 
+class MissingLibraryError(MissingPackageError):
+    """Open3D is installed, but a library of the system is not; the message says what to type."""
+
+    def __init__(self, message: str) -> None:
+        DoughError.__init__(self, message)
+        self.package, self.extra = "open3d", "render"
+
+
 def import_open3d() -> Any:
     """The module `open3d`.
 
     Raises:
         MissingPackageError: Open3D is not installed.
-        DoughError: Open3D is installed, but a system library is not; the message has the line to
-            type.
+        MissingLibraryError: it is, but a library of the system is not.
     """
     try:
         return require_package("open3d", extra="render")
@@ -34,13 +41,13 @@ def import_open3d() -> Any:
         raise system_library_error(error) from error
 
 
-def system_library_error(error: ImportError) -> DoughError:
+def system_library_error(error: ImportError) -> MissingLibraryError:
     """Turn the dynamic loader's complaint into one line that says what to install."""
     found = re.search(r"\blib[^\s:]+\.so[.\d]*", str(error))
     library = found.group() if found else ""
     package = PACKAGES.get(library)
     if package is None:
-        return DoughError(f"open3d is installed but cannot be loaded: {error}")
-    return DoughError(
+        return MissingLibraryError(f"open3d is installed but cannot be loaded: {error}")
+    return MissingLibraryError(
         f"open3d needs the system library {library}: apt-get install -y {package} (as root)"
     )

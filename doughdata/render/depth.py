@@ -1,7 +1,7 @@
 """Depth images of dough, fingers and table, by ray casting."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -20,7 +20,7 @@ from doughschemas import (
     Scene,
     ToolPoses,
 )
-from jaxtyping import Float32, UInt16
+from jaxtyping import Float, Float32, UInt16
 
 from doughdata.geometry import pixel_rays, quaternion_to_matrix, transform_points
 from doughdata.render._open3d import import_open3d
@@ -135,24 +135,20 @@ class DepthStage:
         may load them one by one. Noise depends on scene, sensor name, frame and view alone.
 
         Raises:
-            BadInputError: a frame's mesh is missing, or there is no frame to render.
+            BadInputError: a frame's mesh is missing, there is no frame to render, or a sensor
+                returned something else than a depth image.
         """
+        cameras = self.cameras(scene)
         frames = self.frame_indices(len(tool_poses.opening))
-        cameras, renderer = self.cameras(scene), DepthRenderer()
-        tools = [_finger(scene, action) for action in range(len(scene.actions))]
         depth: dict[str, list[UInt16[np.ndarray, "rows columns"]]] = {name: [] for name in sensors}
-        segments = []
-        for frame in frames:
-            if frame not in meshes:
-                raise BadInputError(f"scene {scene.scene_id}: key frame {frame} has no mesh")
-            fingers = _posed(tools[int(tool_poses.action[frame])], tool_poses, frame)
-            for view, image in enumerate(renderer.render(meshes[frame].meshes, fingers, cameras)):
-                segments.append(image.segments)
-                for name, sensor in sensors.items():
-                    rng = _generator(scene, "noise", name, frame, view)
-                    observed = sensor.observe(image, cameras[view], rng=rng)
-                    depth[name].append(quantised(observed, self.config.depth_unit))
-        rows = [(frame, view) for frame in frames for view in range(len(cameras))]
+        segments, rows = [], []
+        for frame, view, image in _images(scene, tool_poses, meshes, frames, cameras):
+            rows.append((frame, view))
+            segments.append(image.segments)
+            for name, sensor in sensors.items():
+                rng = _generator(scene, "noise", name, frame, view)
+                observed = _observed(name, sensor, image, cameras[view], rng)
+                depth[name].append(quantised(observed, self.config.depth_unit))
         return {
             name: DepthViews(
                 depth=np.stack(depth[name]),
@@ -167,11 +163,48 @@ class DepthStage:
 
 
 def quantised(
-    depth: Float32[np.ndarray, "rows columns"], unit: float
+    depth: Float[np.ndarray, "rows columns"], unit: float
 ) -> UInt16[np.ndarray, "rows columns"]:
     """Depth [m] in whole units [m]; what is not in 1..65535 of them (or no number) becomes 0."""
     steps = np.rint(np.nan_to_num(depth, nan=0.0, posinf=0.0, neginf=0.0) / unit)
     return np.where((steps >= 1) & (steps <= 65535), steps, 0).astype(np.uint16)
+
+
+def _images(
+    scene: Scene,
+    tool_poses: ToolPoses,
+    meshes: Mapping[int, ComponentMeshes],
+    frames: Sequence[int],
+    cameras: Sequence[Camera],
+) -> Iterator[tuple[int, int, DepthImage]]:
+    """Frame, view and ideal image, frame by frame; each frame's scene is built once."""
+    renderer = DepthRenderer()
+    fingers = [_finger(scene, action) for action in range(len(scene.actions))]
+    for frame in frames:
+        try:
+            components = meshes[frame].meshes
+        except KeyError:
+            message = f"scene {scene.scene_id}: key frame {frame} has no mesh"
+            raise BadInputError(message) from None
+        posed = _posed(fingers[int(tool_poses.action[frame])], tool_poses, frame)
+        for view, image in enumerate(renderer.render(components, posed, cameras)):
+            yield frame, view, image
+
+
+def _observed(
+    name: str, sensor: Sensor, image: DepthImage, camera: Camera, rng: np.random.Generator
+) -> Float[np.ndarray, "rows columns"]:
+    """What a sensor reports, checked: sensors are plug-ins."""
+    # All sensors share the ideal image, so none of them may write into it.
+    image.depth.setflags(write=False)
+    image.segments.setflags(write=False)
+    observed = np.asarray(sensor.observe(image, camera, rng=rng))
+    if observed.shape != image.depth.shape or observed.dtype.kind != "f":
+        raise BadInputError(
+            f"sensor {name!r} must return floats of shape {image.depth.shape}, "
+            f"got {observed.dtype} of shape {observed.shape}"
+        )
+    return observed
 
 
 def _generator(scene: Scene, *key: str | int) -> np.random.Generator:

@@ -35,7 +35,8 @@ class MpmPullApart:
     ) -> list[Float64[np.ndarray, "particles 3"]]:
         """Positions [m] after each pull, in the order given; velocity and strain start at zero.
 
-        The answer does not depend on where in the world the crop lies nor on its yaw.
+        The answer does not depend on the order of the particles, and only by rounding on where in
+        the world the crop lies and on its yaw.
 
         Raises:
             BadInputError: a direction is no unit vector, or an array has the wrong length.
@@ -47,8 +48,11 @@ class MpmPullApart:
         _check(problem)
         if len(problem.positions) == 0:
             return problem.positions.astype(np.float64)
-        axes, centre = _frame(problem.direction), problem.positions.mean(axis=0)
-        local = (problem.positions - centre) @ axes.T
+        axes = _frame(problem.direction)
+        turned = problem.positions @ axes.T
+        centre = (turned.min(axis=0) + turned.max(axis=0)) / 2
+        order = np.lexsort(turned.T)  # sums in single precision follow the order
+        local = turned[order] - centre
         room = problem.distance + 4 * self.config.cells * problem.spacing
         physics = Physics(
             material=self.config.material,
@@ -64,12 +68,14 @@ class MpmPullApart:
         solver = Solver(
             local,
             physics,
-            handles=problem.handles,
+            handles=problem.handles[order],
             pull=(problem.speed, 0.0, 0.0),
             arch=self.config.arch,
         )
         solver.advance(problem.distance / problem.speed)
-        return solver.positions.astype(np.float64) @ axes + centre
+        pulled = np.empty_like(turned)
+        pulled[order] = solver.positions
+        return (pulled + centre) @ axes
 
 
 def _frame(direction: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, "3 3"]:

@@ -1,6 +1,7 @@
 """The causal pass: carry the bond graph through the key frames and decide merges and splits."""
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from doughschemas import Particles, Scene
@@ -9,13 +10,16 @@ from scipy.spatial import cKDTree
 
 from doughdata.stages import PullApart
 from doughdata.topology.bonds import BondGraph
-from doughdata.topology.config import DynamicConfig
+
 from doughdata.topology.crops import SIDE_BOND, chunks, crop, sides
 from doughdata.topology.fingers import Gripper, gripper_at
 from doughdata.topology.merges import Patch, merge_patches
-from doughdata.topology.pairs import connected, decode, encode, is_member, lengths
+from doughdata.topology.pairs import connected, decode, encode, lengths
 from doughdata.topology.pulls import PullTest, disjoint_paths, make_test, run_tests
 from doughdata.topology.splits import Neck, split_necks
+
+if TYPE_CHECKING:
+    from doughdata.topology.dynamic import DynamicConfig
 
 __all__ = ["Decision", "FrameState", "History"]
 
@@ -50,7 +54,7 @@ class History:
 
     scene: Scene
     particles: Particles
-    config: DynamicConfig
+    config: "DynamicConfig"
     puller: PullApart | None
     graph: BondGraph
     decisions: list[Decision] = field(default_factory=list)  # of the present key frame
@@ -59,7 +63,7 @@ class History:
 
     @classmethod
     def start(
-        cls, scene: Scene, particles: Particles, config: DynamicConfig, puller: PullApart | None
+        cls, scene: Scene, particles: Particles, config: "DynamicConfig", puller: PullApart | None
     ) -> "History":
         """Before the first key frame: every body is one piece if its particles are near."""
         graph = BondGraph(
@@ -267,8 +271,7 @@ class History:
         inner = contacts[pieces[contacts[:, 0]] == pieces[contacts[:, 1]]]
         if len(inner) == 0:
             return inner
-        kept = is_member(encode_rows(inner, graph.count), graph.crossed)
-        kept |= graph.locked(encode_rows(inner, graph.count))
+        kept = np.zeros(len(inner), dtype=bool)
         bonds = graph.bonded_pairs(SIDE_BOND)
         s = graph.spacing
         for rows in chunks(
@@ -284,11 +287,6 @@ class History:
             if apart.mean() >= 0.5:
                 kept[rows] = True
         return inner[kept]
-
-
-def encode_rows(pairs: Int64[np.ndarray, "pairs 2"], count: int) -> Int64[np.ndarray, " pairs"]:
-    """Keys in the order of the rows (lower particle first in each)."""
-    return pairs[:, 0] * count + pairs[:, 1]
 
 
 def _patch_key(patch: Patch) -> tuple[str, Float64[np.ndarray, " 3"], int, float]:

@@ -16,7 +16,7 @@ from doughdata.topology.pairs import adjacency
 __all__ = ["Solid", "solid_genus", "solid_of"]
 
 VOXEL = 0.5  # [spacings]
-COVER = 0.5  # [spacings], of dough kept around the outer particles
+COVER = 0.75  # [spacings], of dough kept around the outer particles
 WALL = 0.9  # [voxels], half a wall; over sqrt(3)/2, so that no diagonal passes through
 FULL = np.ones((3, 3, 3), dtype=bool)
 

@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
-from scipy.spatial import cKDTree
+from jaxtyping import Bool, Float64, Int64
 
 from doughdata.topology.bonds import BondGraph
 from doughdata.topology.crops import SIDE_BOND, crop, sides
@@ -16,7 +15,6 @@ SMALLEST_SIDE = 15  # particles
 BESIDE = 0.006  # [m], of dough beside a neck over which its thickness is measured
 TOUCH = 1.0  # [spacings], a particle this close to a finger touches it
 LATERAL = 0.5  # [spacings], by which a neck reaches beyond the contact faces
-ADJACENT = 2.2  # [spacings], between a neck and the dough beside it
 SMALLEST_CROP = 0.008  # [m]
 SHRINK = 0.8
 
@@ -86,16 +84,15 @@ def _neck(
     x = graph.positions
     across = x @ gripper.lateral
     middle = across[core].mean()
-    tree = cKDTree(x[core])
+    beside = _bonded_to(bonds, core, graph.count)
     while radius >= SMALLEST_CROP:
         around = crop(x, core, radius)
         piece = sides(graph, bonds, around, leave_out=core)
         rest = around[piece[around] >= 0]
-        distance, _ = tree.query(x[rest])
         first, second = [], []
         for number in np.unique(piece[rest]):
             own = piece[rest] == number
-            if own.sum() >= SMALLEST_SIDE and distance[own].min() < ADJACENT * graph.spacing:
+            if own.sum() >= SMALLEST_SIDE and beside[rest[own]].any():
                 side = rest[own]
                 (first if across[side].mean() < middle else second).append(side)
         if first and second:
@@ -109,6 +106,17 @@ def _neck(
             )
         radius *= SHRINK
     return None
+
+
+def _bonded_to(
+    bonds: Int64[np.ndarray, "bonds 2"], core: Int64[np.ndarray, " core"], count: int
+) -> Bool[np.ndarray, " particles"]:
+    """Particles with a bond to the core."""
+    inner = np.zeros(count, dtype=bool)
+    inner[core] = True
+    touched = np.zeros(count, dtype=bool)
+    touched[bonds[inner[bonds].any(axis=1)]] = True
+    return touched & ~inner
 
 
 def _thickness(x: Float64[np.ndarray, "particles 3"], gripper: Gripper, neck: Neck) -> float:

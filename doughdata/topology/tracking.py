@@ -8,7 +8,7 @@ from jaxtyping import Float64, Int32, UInt8
 
 from doughdata.topology.pairs import connected
 
-__all__ = ["components_of", "find_events", "first_labels", "next_labels"]
+__all__ = ["components_of", "count_labels", "find_events", "first_labels", "next_labels"]
 
 MOST_COMPONENTS = 250  # labels are bytes, the highest are reserved
 
@@ -51,7 +51,7 @@ def next_labels(
     others get the next free ones, largest first; a merged component keeps the lowest. Where a label
     dies, the highest takes its place.
     """
-    number = int(before[before != STRAY].max(initial=-1)) + 1
+    number = count_labels(before)
     shared = np.zeros((len(parts), number), dtype=int)
     for row, part in enumerate(parts):
         old = before[part]
@@ -71,6 +71,12 @@ def next_labels(
     for place, row in zip(free, [*(kept.pop(old) for old in high), *fresh], strict=True):
         kept[place] = row
     return _label(len(before), [parts[kept[k]] for k in range(len(parts))])
+
+
+def count_labels(labels: UInt8[np.ndarray, " particles"]) -> int:
+    """Number of components of a frame's labels."""
+    used = labels[labels != STRAY]
+    return int(used.max()) + 1 if len(used) else 0
 
 
 def _label(count: int, parts: Sequence[Int32[np.ndarray, " _"]]) -> UInt8[np.ndarray, " particles"]:

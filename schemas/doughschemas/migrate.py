@@ -32,7 +32,8 @@ def check_version(found: str, *, what: str) -> bool:
         )
     if version > own:
         warnings.warn(
-            f"{what} has schema version {found}, newer than {SCHEMA_VERSION}: unknown fields are ignored",
+            f"{what} has schema version {found}, newer than {SCHEMA_VERSION}; "
+            "fields that this release does not know are ignored",
             stacklevel=3,
         )
     return version[0] == own[0]

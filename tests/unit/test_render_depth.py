@@ -1,5 +1,7 @@
 """Depth images against closed forms, against brute force, and the seeds of a rendering stage."""
 
+import pickle
+
 import numpy as np
 import pytest
 import trimesh
@@ -16,6 +18,7 @@ from doughschemas import (
     ComponentMeshes,
     Intrinsics,
     LabelGrid,
+    MissingPackageError,
     Scene,
     ToolPoses,
 )
@@ -233,6 +236,36 @@ def test_noise_depends_on_scene_sensor_frame_and_view_alone() -> None:
     assert not np.array_equal(error[0], error[2])
 
 
+class HalfSize:
+    """A faulty plug-in: it returns every second pixel."""
+
+    def observe(self, image: DepthImage, camera: Camera, *, rng: np.random.Generator) -> np.ndarray:
+        """Depth of the wrong shape."""
+        del camera, rng
+        return image.depth[::2, ::2]
+
+
+class Scribbler:
+    """A faulty plug-in: it writes into the image that all sensors share."""
+
+    def observe(self, image: DepthImage, camera: Camera, *, rng: np.random.Generator) -> np.ndarray:
+        """Depth, after spoiling the ideal one."""
+        del camera, rng
+        image.depth[:] = 0
+        return image.depth
+
+
+def test_faulty_sensors_are_found_out() -> None:
+    """A sensor that returns another shape is named, one that spoils the shared image fails."""
+    scene, poses = squeeze(1)
+    stage = DepthStage(RenderConfig(camera=look_at(SMALL, (0.1, 0.3, 0.3)), frames=None))
+    dough = {0: meshes(ball(0.01, (0, 0, 0.01)))}
+    with pytest.raises(BadInputError, match=r"'half' must return floats of shape \(120, 160\)"):
+        stage.views(scene, poses, dough, sensors={"half": HalfSize()})
+    with pytest.raises(ValueError, match="read-only"):
+        stage.views(scene, poses, dough, sensors={"scribbler": Scribbler()})
+
+
 def test_default_frames_are_the_thirteen_training_frames() -> None:
     """A scene of 75 key frames is rendered at 5, 10, ..., 65, or at all, as configured."""
     assert DepthStage().frame_indices(75) == tuple(range(5, 66, 5))
@@ -266,5 +299,8 @@ def test_jittered_default_camera_keeps_the_dough_in_view() -> None:
 def test_missing_system_library_names_the_line_to_type() -> None:
     """The loader's complaint about libusb becomes one line with the package to install."""
     complaint = "libusb-1.0.so.0: cannot open shared object file: No such file or directory"
-    assert "apt-get install -y libusb-1.0-0" in str(system_library_error(ImportError(complaint)))
+    error = system_library_error(ImportError(complaint))
+    assert isinstance(error, MissingPackageError)  # so that a run stops instead of failing scenes
+    assert "apt-get install -y libusb-1.0-0" in str(error)
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)  # it comes from worker processes
     assert "libfoo.so.3" in str(system_library_error(ImportError("libfoo.so.3: cannot open")))

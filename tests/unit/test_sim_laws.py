@@ -103,11 +103,11 @@ def test_bar_yields_at_the_yield_stress() -> None:
     solver = Solver(
         positions, physics(material=material), handles=handles.astype(np.int8), pull=(0.05, 0.0, 0.0)
     )
-    solver.advance(0.08)  # 8 mm on 60: thirteen per cent, against four at yield
+    solver.advance(0.04)  # 4 mm on 48: eight per cent, against four at yield
     middle = np.abs(positions[:, 0]) < 0.012
     stress = hencky_stress(solver)[middle]
-    assert stress[:, 0, 0].mean() == pytest.approx(material.yield_stress, rel=0.15)
-    assert abs(stress[:, 1, 1].mean()) < 0.15 * material.yield_stress
+    assert stress[:, 0, 0].mean() == pytest.approx(material.yield_stress, rel=0.02)
+    assert abs(stress[:, 1, 1].mean()) < 0.02 * material.yield_stress
     dev = stress - np.trace(stress, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3
     assert np.sqrt(1.5 * (dev**2).sum((1, 2))).max() <= material.yield_stress * 1.001
 
@@ -155,7 +155,7 @@ def test_leaving_the_domain_is_named() -> None:
         solver.advance(1.0)
 
 
-@pytest.mark.parametrize(("value", "reason"), [(np.nan, "not a number"), (1e4, "1e\\+04 m/s")])
+@pytest.mark.parametrize(("value", "reason"), [(np.nan, "not a number"), (1e4, r"1\.73e\+04 m/s")])
 def test_instability_is_named(value: float, reason: str) -> None:
     """A velocity that is no number, or too fast for the substep, is an error that says so."""
     solver = Solver(block((4, 4, 4)), physics())

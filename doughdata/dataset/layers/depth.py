@@ -28,7 +28,8 @@ def encode_depth(views: Mapping[int, DepthViews], rows: ShardRows) -> Encoded:
     units = {record.depth_unit for record in views.values()}
     if len(sizes) != 1 or len(units) != 1:
         raise BadInputError(
-            f"views of a layer must share one size and unit, got {sorted(sizes)} px, {sorted(units)} m"
+            f"views of a layer must share one size and unit, got {sorted(sizes)} px "
+            f"and {sorted(units)} m"
         )
     depth = np.concatenate([record.depth for record in views.values()])
     segments = np.concatenate([record.segments for record in views.values()])

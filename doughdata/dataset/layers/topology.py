@@ -119,7 +119,7 @@ def _frames_table(topologies: Mapping[int, Topology]) -> pa.Table:
 
 
 def _events_table(topologies: Mapping[int, Topology]) -> pa.Table:
-    # Sorted by frame (a stable sort), so that look-up by frame works; the record's order may differ.
+    # Sorted by frame (a stable sort), so that look-up by frame works.
     ordered = {i: sorted(t.events, key=lambda e: e.frame) for i, t in topologies.items()}
     events = [event for entries in ordered.values() for event in entries]
     frames = {i: np.array([e.frame for e in v], np.int32) for i, v in ordered.items()}
