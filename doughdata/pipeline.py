@@ -1,7 +1,7 @@
 """READ FIRST: the stages composed. scenes -> simulate -> check topology -> mesh -> render.
 
-Every stage is a map over shards: list what is not committed yet, let an executor work on it, commit.
-Stopping anywhere loses at most the shards in work; the same call goes on from there.
+Every stage is a map over shards: list what is not committed yet, let an executor work on it and
+commit. Stopping anywhere loses at most the shards in work; the same call goes on from there.
 """
 
 from collections.abc import Mapping, Sequence
@@ -70,7 +70,9 @@ def render(
     """
     writer = open_writer(uri)
     if "mesh" not in open_dataset(uri).layers:
-        raise MissingLayerError(f"{uri} has no meshes yet: doughdata generate --stages topology,mesh")
+        raise MissingLayerError(
+            f"{uri} has no meshes yet: doughdata generate --stages topology,mesh"
+        )
     view = stage_record("", stage).config
     records = {
         f"depth.{name}": stage_record("sensors", sensor, render=view)
@@ -81,7 +83,11 @@ def render(
     work = RenderShard(writer=writer, stage=stage, sensors=sensors, records=records)
     with executor:
         summary = over_shards(
-            work, records, writer.shards(), executor, listener=listener or Silent(),
+            work,
+            records,
+            writer.shards(),
+            executor,
+            listener=listener or Silent(),
             summary=Summary(dataset=uri),
         )
     writer.refresh()

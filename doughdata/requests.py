@@ -68,7 +68,9 @@ class Summary:
     kept: Mapping[str, int] = field(default_factory=dict)
     failed: Mapping[str, Mapping[int, str]] = field(default_factory=dict)  # layer -> scene: why
 
-    def with_layer(self, layer: str, *, made: int, kept: int, failed: Mapping[int, str]) -> "Summary":
+    def with_layer(
+        self, layer: str, *, made: int, kept: int, failed: Mapping[int, str]
+    ) -> "Summary":
         """The summary with one more layer."""
         return replace(
             self,
@@ -89,7 +91,12 @@ class Summary:
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON."""
         failed = {k: {str(i): why for i, why in v.items()} for k, v in self.failed.items()}
-        return {"dataset": self.dataset, "made": dict(self.made), "kept": dict(self.kept), "failed": failed}
+        return {
+            "dataset": self.dataset,
+            "made": dict(self.made),
+            "kept": dict(self.kept),
+            "failed": failed,
+        }
 
     def as_text(self) -> str:
         """A few lines for people."""

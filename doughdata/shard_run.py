@@ -43,7 +43,9 @@ def over_shards(
         counts[layer].kept = total - open_scenes
         listener.start(layer, total=total, done=total - open_scenes)
     for result in executor.map(work, list(todo.values())):
-        commits = _settled(work.writer, result, records) if isinstance(result, WorkerCrash) else result
+        commits = (
+            _settled(work.writer, result, records) if isinstance(result, WorkerCrash) else result
+        )
         for commit in commits:
             counts[commit.layer].add(commit)
             listener.advance(commit.layer, len(commit.scenes) + len(commit.failed))

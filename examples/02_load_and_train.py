@@ -6,14 +6,17 @@ Run: python examples/02_load_and_train.py DATASET
 import sys
 
 import torch
-from doughdata.torch import DoughDataset
 from torch import nn
 from torch.utils.data import DataLoader
 
+from doughdata.torch import DoughDataset
+
 
 def main(dataset: str) -> float:
-    """A small occupancy network: how likely is a query point inside dough, given the seen points?"""
-    loader = DataLoader(DoughDataset(dataset, num_points=256, num_queries=256), batch_size=2, num_workers=2)
+    """A small occupancy network: is a query point inside dough, given the points that are seen?"""
+    loader = DataLoader(
+        DoughDataset(dataset, num_points=256, num_queries=256), batch_size=2, num_workers=2
+    )
     encode = nn.Sequential(nn.Linear(3, 32), nn.ReLU(), nn.Linear(32, 32))
     decode = nn.Sequential(nn.Linear(35, 32), nn.ReLU(), nn.Linear(32, 1))
     optimiser = torch.optim.AdamW([*encode.parameters(), *decode.parameters()], lr=1e-3)

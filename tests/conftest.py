@@ -1,8 +1,15 @@
-"""Shape checks for every test: jaxtyping annotations are enforced by beartype."""
+"""Rules for every test: a docstring that says what must hold; array shapes are checked."""
 
+import pytest
 from jaxtyping import install_import_hook
 
-hook = install_import_hook(
-    ["doughdata.scenes", "doughdata.topology", "doughdata.mesh", "doughdata.render", "doughdata.geometry"],
-    "beartype.beartype",
-)
+SHAPES = ("scenes", "topology", "mesh", "render", "geometry")
+install_import_hook([f"doughdata.{name}" for name in SHAPES], "beartype.beartype")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Refuse a test without a docstring."""
+    for item in items:
+        function = getattr(item, "function", None)
+        if function is not None and not (function.__doc__ or "").strip():
+            raise pytest.UsageError(f"{item.nodeid} needs a docstring that says what must hold")

@@ -16,7 +16,7 @@ DONE, FELL_SHORT, BAD_USAGE, INTERRUPTED = 0, 1, 2, 130
 app = typer.Typer(
     name="doughdata",
     help="Simulated dough with ground-truth topology: make, render, check and look at datasets.",
-    epilog="Start here:  doughdata generate --scenes rolls  then  doughdata render --noise realsense",
+    epilog="Start here: doughdata generate --scenes rolls, then doughdata render --noise realsense",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -52,11 +52,17 @@ def main() -> None:
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         hint = "free some space; what is committed is safe, the same command goes on"
-        _fail(f"{error.strerror or error}: {error.filename or ''}".rstrip(": ") + (f"; {hint}" if full else ""))
+        _fail(
+            f"{error.strerror or error}: {error.filename or ''}".rstrip(": ")
+            + (f"; {hint}" if full else "")
+        )
     except Exception as error:  # the last net: a defect of ours, told in one line
         if os.environ.get("DOUGHDATA_TRACEBACK"):
             raise
-        _fail(f"internal error, please report it: {type(error).__name__}: {error} (DOUGHDATA_TRACEBACK=1 shows where)")
+        _fail(
+            f"internal error, please report it: {type(error).__name__}: {error} "
+            "(DOUGHDATA_TRACEBACK=1 shows where)"
+        )
 
 
 def _fail(message: str, code: int = FELL_SHORT) -> None:

@@ -4,9 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from doughschemas import BadInputError, Scene, UnknownNameError
+
 from doughdata import registry
 from doughdata.requests import FamilyScenes, Stages
-from doughschemas import BadInputError, Scene, UnknownNameError
 
 __all__ = ["build_executor", "build_sensors", "build_stages", "wanted_scenes"]
 
@@ -33,10 +34,11 @@ def build_stages(
             raise UnknownNameError(kind, name, known)
     if not names:
         raise BadInputError(f"--stages needs at least one of {', '.join(STAGE_NAMES)}")
+    make_mesher = registry.load("meshers", mesher)
     return Stages(
         simulator=_simulator(preset, frames, arch) if "simulate" in names else None,
         check=_check() if "topology" in names else None,
-        mesher=registry.load("meshers", mesher)() if "mesh" in names else None,
+        mesher=make_mesher() if "mesh" in names else None,
     )
 
 
@@ -75,9 +77,7 @@ def build_executor(name: str, workers: int | None, *, items: int) -> Any:
     return make() if workers is None else make(workers=workers)
 
 
-def wanted_scenes(
-    text: str, *, count: int, seed: int, split: str
-) -> list[FamilyScenes | Scene]:
+def wanted_scenes(text: str, *, count: int, seed: int, split: str) -> list[FamilyScenes | Scene]:
     """Families by name, or the scenes of a JSON file.
 
     Raises:

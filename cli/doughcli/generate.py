@@ -54,7 +54,9 @@ def command(
     workers: WorkersOption = None,
     scenes_per_shard: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", help="Fixed when the dataset is made; default 1, 8 or 32."),
+        typer.Option(
+            min=1, metavar="N", help="Fixed when the dataset is made; default 1, 8 or 32."
+        ),
     ] = None,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Try scenes again that failed before.")
@@ -77,11 +79,10 @@ def command(
         preview(dataset, wanted, names, as_json=as_json)
         return
 
+    from doughcli.progress import StageBars
     from doughdata import pipeline
     from doughdata.dataset import DatasetSettings
     from doughdata.render.depth import DepthStage
-
-    from doughcli.progress import StageBars
 
     with StageBars() as bars:
         summary = pipeline.generate(
@@ -135,8 +136,9 @@ def shard_size(uri: str, total: int) -> int | None:
 
 def scene_ids(wanted: list) -> list[str]:
     """Ids of everything that is asked for."""
-    from doughdata import registry
     from doughschemas import Scene
+
+    from doughdata import registry
 
     ids = [entry.scene_id for entry in wanted if isinstance(entry, Scene)]
     for entry in wanted:

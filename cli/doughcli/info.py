@@ -17,15 +17,15 @@ def command(dataset: DatasetOption = DATASET_DEFAULT, as_json: JsonOption = Fals
 
     opened = open_dataset(dataset)
     scenes = opened.scenes
-    kinds = Counter(
-        zip(scenes["family"].to_pylist(), scenes["split"].to_pylist(), strict=True)
-    )
+    kinds = Counter(zip(scenes["family"].to_pylist(), scenes["split"].to_pylist(), strict=True))
     found = {
         "dataset": dataset,
         "schema_version": opened.info["schema_version"],
         "scenes": len(opened),
         "num_frames": opened.num_frames,
-        "families": {f"{family}/{split}": count for (family, split), count in sorted(kinds.items())},
+        "families": {
+            f"{family}/{split}": count for (family, split), count in sorted(kinds.items())
+        },
         "layers": list(opened.layers),
         "fingerprint": opened.fingerprint,
     }

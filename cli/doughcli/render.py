@@ -47,11 +47,10 @@ def command(
 
     sensors = build_sensors(tuple(dict.fromkeys(noise)))
 
+    from doughcli.progress import StageBars
     from doughdata import open_dataset, pipeline
     from doughdata.render.cameras import read_camera
     from doughdata.render.depth import DepthStage, RenderConfig
-
-    from doughcli.progress import StageBars
 
     config = RenderConfig(views=views)
     if camera is not None:

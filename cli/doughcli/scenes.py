@@ -22,7 +22,9 @@ def list_families(as_json: JsonOption = False) -> None:
     from doughdata import registry
 
     families = registry.names("scenes")
-    about = {name: (registry.load("scenes", name).__doc__ or "").splitlines()[0] for name in families}
+    about = {
+        name: (registry.load("scenes", name).__doc__ or "").splitlines()[0] for name in families
+    }
     if as_json:
         emit_json(about)
         return

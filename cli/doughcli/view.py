@@ -19,7 +19,13 @@ def command(
     save: Annotated[Path, typer.Option("--save", metavar="X.png", help="Where the picture goes.")],
     dataset: DatasetOption = DATASET_DEFAULT,
     scene: Annotated[
-        list[int] | None, typer.Option("--scene", min=0, metavar="I", help="Scene index; may be given again (default: the first four).")
+        list[int] | None,
+        typer.Option(
+            "--scene",
+            min=0,
+            metavar="I",
+            help="Scene index; may be given again (default: the first four).",
+        ),
     ] = None,
     sensor: Annotated[
         str | None, typer.Option(metavar="SENSOR", help="Depth layer to show (default: the first).")

@@ -52,7 +52,8 @@ def _check(scene: Scene) -> None:
         reach = float(np.abs(cloud[:, :2]).max())
         if reach > WORKSPACE:
             raise SceneError(
-                f"body {body.shape!r} must stay within {WORKSPACE} m of the origin, reaches {reach:.3f}"
+                f"body {body.shape!r} must stay within {WORKSPACE} m of the origin, "
+                f"reaches {reach:.3f}"
             )
     _check_apart(scene.bodies, clouds)
     for number, action in enumerate(scene.actions):
@@ -63,7 +64,9 @@ def _check_action(
     scene: Scene, number: int, action: Action, clouds: list[Float64[np.ndarray, "_ 3"]]
 ) -> None:
     if not 0 <= action.tool < len(scene.tools):
-        raise SceneError(f"action {number}: tool must be 0..{len(scene.tools) - 1}, got {action.tool}")
+        raise SceneError(
+            f"action {number}: tool must be 0..{len(scene.tools) - 1}, got {action.tool}"
+        )
     require_range(f"action {number}: speed", action.speed, 0.001, 0.3, unit="m/s")
     require_range(f"action {number}: hold", action.hold, 0.0, 60.0, unit="s")
     require_range(f"action {number}: opening_start", action.opening_start, 0.002, 0.180)
@@ -105,7 +108,9 @@ def surface_points(body: Body, *, spacing: float = SAMPLE) -> Float64[np.ndarray
     return to_world(grid, body)
 
 
-def to_world(points: Float64[np.ndarray, "points 3"], body: Body) -> Float64[np.ndarray, "points 3"]:
+def to_world(
+    points: Float64[np.ndarray, "points 3"], body: Body
+) -> Float64[np.ndarray, "points 3"]:
     """From a shape's own frame to the world [m]."""
     c, s = np.cos(body.yaw), np.sin(body.yaw)
     turned = points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -125,4 +130,3 @@ def _check_apart(bodies: tuple[Body, ...], clouds: list[Float64[np.ndarray, "_ 3
     for first, second in permutations(range(len(bodies)), 2):
         if shapes[second].contains(to_body(clouds[first], bodies[second])).any():
             raise SceneError(f"bodies {min(first, second)} and {max(first, second)} overlap")
-

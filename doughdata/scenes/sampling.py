@@ -39,7 +39,10 @@ def sample_action(
     deep = rng.random() < 0.5
     end = rng.uniform(0.001, 0.003) if deep else rng.uniform(0.003, opening)
     return Action(
-        position=(between(-reach[0], reach[0], rng.random()), between(-reach[1], reach[1], rng.random())),
+        position=(
+            between(-reach[0], reach[0], rng.random()),
+            between(-reach[1], reach[1], rng.random()),
+        ),
         yaw=between(-yaw, yaw, rng.random()),
         opening_end=round(float(end), 6),
     )
@@ -75,4 +78,6 @@ def sample_scene(
         except SceneError as error:
             if "finger starts inside" not in str(error):
                 raise
-    raise SceneError(f"family {family!r}: no free pose in {ATTEMPTS} attempts (seed {seed}, {number})")
+    raise SceneError(
+        f"family {family!r}: no free pose in {ATTEMPTS} attempts (seed {seed}, {number})"
+    )

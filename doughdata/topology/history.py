@@ -271,7 +271,7 @@ class History:
         inner = contacts[pieces[contacts[:, 0]] == pieces[contacts[:, 1]]]
         if len(inner) == 0:
             return inner
-        kept = np.zeros(len(inner), dtype=bool)
+        found: list[Int64[np.ndarray, "walls 2"]] = []
         bonds = graph.bonded_pairs(SIDE_BOND)
         s = graph.spacing
         for rows in chunks(
@@ -283,10 +283,30 @@ class History:
         ):
             near = crop(graph.positions, np.unique(inner[rows]), config.wall_length)
             piece = sides(graph, bonds, near)
-            apart = piece[inner[rows, 0]] != piece[inner[rows, 1]]
+            ends = np.sort(piece[inner[rows]], axis=1)
+            apart = ends[:, 0] != ends[:, 1]
             if apart.mean() >= 0.5:
-                kept[rows] = True
-        return inner[kept]
+                found += self._facing(near, piece, ends[apart])
+        if not found:
+            return inner[:0]
+        return np.unique(np.concatenate(found), axis=0)
+
+    def _facing(
+        self,
+        near: Int64[np.ndarray, " crop"],
+        piece: Int32[np.ndarray, " particles"],
+        ends: Int32[np.ndarray, "pairs 2"],
+    ) -> list[Int64[np.ndarray, "walls 2"]]:
+        """All pairs of two locally separate sides that a closing could bridge."""
+        x, reach = self.graph.positions, 2 * max(self.config.closing_radii) * self.graph.spacing
+        found = []
+        for low, high in np.unique(ends, axis=0):
+            first, second = near[piece[near] == low], near[piece[near] == high]
+            close = cKDTree(x[first]).sparse_distance_matrix(
+                cKDTree(x[second]), reach, output_type="ndarray"
+            )
+            found.append(np.stack([first[close["i"]], second[close["j"]]], axis=1))
+        return [np.sort(pairs, axis=1) for pairs in found]
 
 
 def _patch_key(patch: Patch) -> tuple[str, Float64[np.ndarray, " 3"], int, float]:

@@ -4,6 +4,7 @@ A solid is the morphological closing of the particles: inflated, then deflated t
 around the outer particles. Walls along unmerged contacts are taken out again.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from skimage.measure import euler_number
 
 from doughdata.topology.pairs import adjacency
 
-__all__ = ["Solid", "solid_genus", "solid_of"]
+__all__ = ["Solid", "solid_genus", "solids_of"]
 
 VOXEL = 0.5  # [spacings]
 COVER = 0.75  # [spacings], of dough kept around the outer particles
@@ -30,16 +31,19 @@ class Solid:
     size: float  # [m]
 
 
-def solid_of(
+def solids_of(
     positions: Float64[np.ndarray, "particles 3"],
     spacing: float,
     *,
-    radius: float,
+    radii: Sequence[float],
     walls: Int64[np.ndarray, "walls 2"],
-) -> Solid:
-    """Close the particles with a ball of `radius` spacings; `walls` are unmerged pairs of them."""
+) -> list[Solid]:
+    """Close the particles with balls of several `radii` [spacings].
+
+    `walls` are unmerged pairs of particles: the solid stays open half-way between their ends.
+    """
     size = VOXEL * spacing
-    margin = radius * spacing + 2 * size
+    margin = max(radii) * spacing + 2 * size
     # Centred on the particles, so that moving them all changes nothing.
     middle = (positions.min(axis=0) + positions.max(axis=0)) / 2
     half = np.ceil((np.ptp(positions, axis=0) / 2 + margin) / size).astype(int)
@@ -48,17 +52,20 @@ def solid_of(
     cell = np.rint((positions - origin) / size).astype(int)
     grid[tuple(cell.T)] = np.arange(len(positions))
     rough, place = distance_transform_edt(grid < 0, return_indices=True)
-    near = np.argwhere(rough * size < radius * spacing + 2 * size)
+    near = np.argwhere(rough * size < margin)
     particle = grid[tuple(place[:, *near.T])]
     distance = np.linalg.norm(origin + near * size - positions[particle], axis=1)
-    inflated = np.zeros(grid.shape, dtype=bool)
-    inflated[tuple(near[distance < radius * spacing].T)] = True
-    depth = distance_transform_edt(inflated)
-    inside = depth * size > (radius - COVER) * spacing
+    blocked = near[:0]
     if len(walls):
-        blocked = _wall_voxels(positions, near, particle, walls, origin, size)
-        inside[tuple(near[blocked].T)] = False
-    return Solid(inside=inside, origin=origin, size=size)
+        blocked = near[_wall_voxels(positions, near, particle, walls, origin, size)]
+    solids = []
+    for radius in radii:
+        inflated = np.zeros(grid.shape, dtype=bool)
+        inflated[tuple(near[distance < radius * spacing].T)] = True
+        inside = distance_transform_edt(inflated) * size > (radius - COVER) * spacing
+        inside[tuple(blocked.T)] = False
+        solids.append(Solid(inside=inside, origin=origin, size=size))
+    return solids
 
 
 def _wall_voxels(

@@ -76,8 +76,8 @@ def save_sheet(
     `sensor` names a depth layer; by default it is the first.
 
     Raises:
-        BadInputError: not a `.png` path, an empty dataset, or a scene, frame or sensor that is
-            not there.
+        BadInputError: not a `.png` path, an empty dataset, a path that cannot be
+            written, or a scene, frame or sensor that is not there.
         MissingPackageError: matplotlib is not installed.
     """
     path = Path(path)
@@ -95,8 +95,11 @@ def save_sheet(
     sensor = _sensor(dataset, sensor)
     strips = [_strip(dataset, scene, wanted, sensor) for scene in chosen]
     figure = draw_sheet(strips, caption=f"{len(chosen)} of {len(there)} scenes")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path)
+    except OSError as error:
+        raise BadInputError(f"cannot write {path}: {error.strerror or error}") from error
     return path
 
 

@@ -32,7 +32,9 @@ class UnknownNameError(BadInputError):
         self.kind, self.name, self.known = kind, name, sorted(known)
         near = get_close_matches(name, self.known, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        super().__init__(f"unknown {kind} {name!r}{hint} (known: {', '.join(self.known) or 'none'})")
+        super().__init__(
+            f"unknown {kind} {name!r}{hint} (known: {', '.join(self.known) or 'none'})"
+        )
 
 
 class SceneError(BadInputError):

@@ -254,7 +254,9 @@ class DepthViews:
     """Depth images of one scene. Depth is along the optical axis, 0 = invalid."""
 
     depth: UInt16[np.ndarray, "views rows columns"]  # in units of `depth_unit`
-    segments: UInt8[np.ndarray, "views rows columns"]  # SEGMENT_* below; component k = SEGMENT_COMPONENT + k
+    segments: UInt8[
+        np.ndarray, "views rows columns"
+    ]  # SEGMENT_* below; component k = SEGMENT_COMPONENT + k
     frame_index: Int32[np.ndarray, " views"]
     view_index: Int32[np.ndarray, " views"]
     cameras: tuple[Camera, ...]

@@ -43,7 +43,9 @@ TINY = [
 FRAMES = 8
 
 
-def command(*arguments: object, cwd: Path, code: int | None = 0) -> subprocess.CompletedProcess[str]:
+def command(
+    *arguments: object, cwd: Path, code: int | None = 0
+) -> subprocess.CompletedProcess[str]:
     """Run `doughdata` as a user would and check its exit code."""
     done = subprocess.run(
         [str(Path(sys.executable).with_name("doughdata")), *map(str, arguments)],

@@ -62,7 +62,7 @@ BAD = {
 
 @pytest.mark.parametrize("what", BAD)
 def test_bad_usage_gets_one_clear_line(what: str, tmp_path: Path) -> None:
-    """A wrong name or a missing thing is told in one line, with the right exit code, and makes nothing."""
+    """A wrong name or a missing thing is told in one line, with its exit code; nothing is made."""
     arguments, code, message = BAD[what]
     done = command(*arguments, cwd=tmp_path, code=code)
     lines = done.stderr.strip().splitlines()
@@ -83,7 +83,11 @@ def test_a_folder_with_something_else_is_left_alone(tmp_path: Path) -> None:
 
 def test_a_scene_outside_its_limits_is_refused(tmp_path: Path) -> None:
     """A scene file with an impossible roll names scene, field, limit and value."""
-    scene = {"bodies": [{"shape": "roll", "parameters": {"radius": 1.0}}], "tools": ["wide"], "actions": [{}]}
+    scene = {
+        "bodies": [{"shape": "roll", "parameters": {"radius": 1.0}}],
+        "tools": ["wide"],
+        "actions": [{}],
+    }
     (tmp_path / "big.json").write_text(json.dumps(scene))
     done = command("generate", "--scenes", "big.json", cwd=tmp_path, code=2)
     assert "scene 'big': roll radius must be within" in done.stderr
@@ -91,7 +95,9 @@ def test_a_scene_outside_its_limits_is_refused(tmp_path: Path) -> None:
 
 def test_dry_run_makes_nothing(tmp_path: Path) -> None:
     """`--dry-run` says what would be made and leaves the folder empty."""
-    done = command("generate", "--scenes", "rolls", "--num-scenes", 3, "--dry-run", "--json", cwd=tmp_path)
+    done = command(
+        "generate", "--scenes", "rolls", "--num-scenes", 3, "--dry-run", "--json", cwd=tmp_path
+    )
     assert json.loads(done.stdout) == {
         "dataset": "./dough-dataset",
         "scenes": 3,

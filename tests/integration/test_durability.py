@@ -15,7 +15,11 @@ from tests.integration.conftest import FRAMES, command
 
 
 def hashes(folder: Path) -> dict[str, str]:
-    return {str(p.relative_to(folder)): sha256(p.read_bytes()).hexdigest() for p in sorted(folder.rglob("*")) if p.is_file()}
+    return {
+        str(p.relative_to(folder)): sha256(p.read_bytes()).hexdigest()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file()
+    }
 
 
 def committed(dataset: Path) -> dict[str, str]:
@@ -31,7 +35,15 @@ def committed(dataset: Path) -> dict[str, str]:
 
 def test_kill_nine_then_the_same_command(tiny_scenes: Path, tmp_path: Path) -> None:
     """After SIGKILL in the middle, the same command keeps finished shards and makes the rest."""
-    arguments = ["generate", "--scenes", str(tiny_scenes), "--frames", str(FRAMES), "--executor", "serial"]
+    arguments = [
+        "generate",
+        "--scenes",
+        str(tiny_scenes),
+        "--frames",
+        str(FRAMES),
+        "--executor",
+        "serial",
+    ]
     process = subprocess.Popen(
         [str(Path(sys.executable).with_name("doughdata")), *arguments],
         cwd=tmp_path,
@@ -53,9 +65,20 @@ def test_kill_nine_then_the_same_command(tiny_scenes: Path, tmp_path: Path) -> N
     command("validate", "--deep", cwd=tmp_path)
 
 
-def test_one_and_two_workers_make_the_same_sim_layer(tiny_dataset: Path, tiny_scenes: Path, tmp_path: Path) -> None:
+def test_one_and_two_workers_make_the_same_sim_layer(
+    tiny_dataset: Path, tiny_scenes: Path, tmp_path: Path
+) -> None:
     """The sha256 of every array file of `sim` is the same for one and for two workers."""
-    options = ("--frames", FRAMES, "--stages", "simulate", "--executor", "processes", "--workers", 2)
+    options = (
+        "--frames",
+        FRAMES,
+        "--stages",
+        "simulate",
+        "--executor",
+        "processes",
+        "--workers",
+        2,
+    )
     command("generate", "--scenes", tiny_scenes, *options, cwd=tmp_path)
 
     def arrays(dataset: Path) -> list[dict[str, str]]:
@@ -75,7 +98,9 @@ def test_one_flipped_byte_is_found_and_named(tiny_dataset: Path, tmp_path: Path)
     for path in kinds.values():
         data = path.read_bytes()
         place = rng.randrange(len(data))
-        path.write_bytes(data[:place] + bytes([data[place] ^ (1 << rng.randrange(8))]) + data[place + 1 :])
+        path.write_bytes(
+            data[:place] + bytes([data[place] ^ (1 << rng.randrange(8))]) + data[place + 1 :]
+        )
         done = command("validate", "--deep", "--dataset", copy, cwd=tmp_path, code=1)
         assert str(path.relative_to(copy)) in done.stdout
         path.write_bytes(data)
@@ -90,12 +115,22 @@ def test_a_byte_inside_a_frame_names_the_frame(tiny_dataset: Path, tmp_path: Pat
     data[5] ^= 1  # the shard begins with the chunk of its first row
     chunk.write_bytes(bytes(data))
     done = command("validate", "--deep", "--dataset", copy, cwd=tmp_path, code=1)
-    assert any("scene 1" in line and "frame 0" in line for line in done.stdout.splitlines()), done.stdout
+    assert any("scene 1" in line and "frame 0" in line for line in done.stdout.splitlines()), (
+        done.stdout
+    )
 
 
 def test_ctrl_c_is_told_in_one_line(tiny_scenes: Path, tmp_path: Path) -> None:
-    """SIGINT to the whole process group, as a terminal sends it: one line, no traceback, resumable."""
-    arguments = ["generate", "--scenes", str(tiny_scenes), "--frames", str(FRAMES), "--workers", "2"]
+    """SIGINT to the whole process group, as a terminal sends it: one line and no traceback."""
+    arguments = [
+        "generate",
+        "--scenes",
+        str(tiny_scenes),
+        "--frames",
+        str(FRAMES),
+        "--workers",
+        "2",
+    ]
     process = subprocess.Popen(
         [str(Path(sys.executable).with_name("doughdata")), *arguments],
         cwd=tmp_path,
@@ -118,11 +153,12 @@ def test_ctrl_c_is_told_in_one_line(tiny_scenes: Path, tmp_path: Path) -> None:
 
 def test_a_full_disk_is_told_and_loses_nothing(tiny_scenes: Path, tmp_path: Path) -> None:
     """When no file may grow further, the run stops with one line and a later run finishes."""
-    script = f"ulimit -f 64; exec {Path(sys.executable).with_name('doughdata')} generate --scenes {tiny_scenes} --frames {FRAMES} --executor serial --stages simulate"
-    done = subprocess.run(["bash", "-c", f"trap '' XFSZ; {script}"], cwd=tmp_path, capture_output=True, text=True)
+    options = ("--frames", FRAMES, "--executor", "serial", "--stages", "simulate")
+    words = (Path(sys.executable).with_name("doughdata"), "generate", "--scenes", tiny_scenes)
+    script = f"trap '' XFSZ; ulimit -f 64; exec {' '.join(map(str, (*words, *options)))}"
+    done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
     assert "Traceback" not in done.stderr
     assert "File too large" in done.stderr.splitlines()[-1]
-    options = ("--frames", FRAMES, "--executor", "serial", "--stages", "simulate")
     command("generate", "--scenes", tiny_scenes, *options, cwd=tmp_path)
     command("validate", "--deep", cwd=tmp_path)

@@ -4,13 +4,13 @@ import json
 import shutil
 from pathlib import Path
 
-import doughdata
 import duckdb
 import numpy as np
 import pytest
 import tensorstore
 import trimesh
 
+import doughdata
 from tests.integration.conftest import FRAMES, command
 
 
@@ -27,15 +27,21 @@ def test_topology_of_plain_scenes(tiny_dataset: Path) -> None:
     """Rolls apart are two; a roll that a blade cuts is two; an untouched ring has one hole."""
     ds = doughdata.open_dataset(str(tiny_dataset))
     ids = ds.scenes["scene_id"].to_pylist()
-    frames = {name: (ds.frame(scene=i, frame=0), ds.frame(scene=i, frame=FRAMES - 1)) for i, name in enumerate(ids)}
-    topology = {name: [(f.topology.num_components, f.topology.genus) for f in pair] for name, pair in frames.items()}
+    frames = {
+        name: (ds.frame(scene=i, frame=0), ds.frame(scene=i, frame=FRAMES - 1))
+        for i, name in enumerate(ids)
+    }
+    topology = {
+        name: [(f.topology.num_components, f.topology.genus) for f in pair]
+        for name, pair in frames.items()
+    }
     assert topology["two-rolls"][0] == (2, (0, 0))
     assert topology["cut-roll"] == [(1, (0,)), (2, (0, 0))]
     assert topology["ring"][0] == (1, (1,))
 
 
 def test_final_meshes_are_closed_and_keep_the_volume(tiny_dataset: Path) -> None:
-    """Every final mesh is watertight for trimesh; together they hold the particles' volume within 5 %."""
+    """Final meshes are watertight for trimesh and hold the particles' volume within 5 %."""
     ds = doughdata.open_dataset(str(tiny_dataset))
     for scene in range(len(ds)):
         frame = ds.frame(scene=scene, frame=FRAMES - 1)
@@ -79,10 +85,11 @@ def test_duckdb_reads_the_tables(tiny_dataset: Path) -> None:
 
 
 def test_tensorstore_reads_what_we_read(tiny_dataset: Path) -> None:
-    """Following the tables and the commit record alone, another Zarr client reads the same arrays."""
+    """With the tables and the commit record alone, another Zarr client reads the same arrays."""
     ds = doughdata.open_dataset(str(tiny_dataset))
     shard, row = duckdb.sql(
-        f"select shard, row from '{tiny_dataset}/meta/frames.parquet' where scene_index = 1 and frame_index = 5"
+        f"select shard, row from '{tiny_dataset}/meta/frames.parquet' "
+        "where scene_index = 1 and frame_index = 5"
     ).fetchall()[0]
     commit = json.loads((tiny_dataset / "meta" / "commits" / "sim" / f"{shard}.0.json").read_text())
     where = tiny_dataset / commit["path"] / "arrays.zarr" / "positions"
@@ -97,7 +104,9 @@ def test_a_contact_sheet_is_saved(tiny_dataset: Path, tmp_path: Path) -> None:
     """`view` saves a picture of a useful size and prints where."""
     from PIL import Image
 
-    done = command("view", "--save", tmp_path / "sheet.png", "--dataset", tiny_dataset, cwd=tmp_path)
+    done = command(
+        "view", "--save", tmp_path / "sheet.png", "--dataset", tiny_dataset, cwd=tmp_path
+    )
     assert done.stdout.strip() == str(tmp_path / "sheet.png")
     with Image.open(tmp_path / "sheet.png") as image:
         assert min(image.size) > 400
@@ -115,16 +124,30 @@ def test_info_and_stats_agree_with_the_tables(tiny_dataset: Path) -> None:
     assert sum(stats["final"].values()) == 3
 
 
-def test_the_same_command_again_changes_nothing(tiny_dataset: Path, tiny_scenes: Path, tmp_path: Path) -> None:
+def test_the_same_command_again_changes_nothing(
+    tiny_dataset: Path, tiny_scenes: Path, tmp_path: Path
+) -> None:
     """Resuming a finished dataset makes nothing and leaves every committed byte alone."""
     copy = shutil.copytree(tiny_dataset, tmp_path / "dough")
     before = {p: p.stat().st_mtime_ns for p in (copy / "data").rglob("*") if p.is_file()}
-    done = command("generate", "--scenes", tiny_scenes, "--frames", FRAMES, "--json", "--dataset", copy, cwd=tmp_path)
+    done = command(
+        "generate",
+        "--scenes",
+        tiny_scenes,
+        "--frames",
+        FRAMES,
+        "--json",
+        "--dataset",
+        copy,
+        cwd=tmp_path,
+    )
     assert json.loads(done.stdout)["made"] == {"sim": 0, "topology": 0, "mesh": 0}
     assert before == {p: p.stat().st_mtime_ns for p in (copy / "data").rglob("*") if p.is_file()}
 
 
-def test_a_changed_configuration_is_refused_by_name(tiny_dataset: Path, tiny_scenes: Path, tmp_path: Path) -> None:
+def test_a_changed_configuration_is_refused_by_name(
+    tiny_dataset: Path, tiny_scenes: Path, tmp_path: Path
+) -> None:
     """Another resolution or number of key frames does not mix with what is there."""
     base = ("generate", "--scenes", tiny_scenes, "--dataset", tiny_dataset)
     done = command(*base, "--frames", 9, cwd=tmp_path, code=1)

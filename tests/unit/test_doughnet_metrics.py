@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+
 from doughnet.metrics import score
 
 TRUE = torch.tensor([0, 0, 0, 0, 1, 1, 2, 2])  # two components of 4 and 2 samples, 2 is empty

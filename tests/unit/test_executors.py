@@ -5,6 +5,7 @@ import signal
 import time
 
 import pytest
+
 from doughdata import registry
 from doughdata.executors import WorkerCrash
 

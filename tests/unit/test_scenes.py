@@ -5,6 +5,8 @@ import math
 
 import numpy as np
 import pytest
+from doughschemas import Action, Body, Scene, SceneError, Tool, UnknownNameError
+
 from doughdata import registry
 from doughdata.scenes import (
     PRESETS,
@@ -18,13 +20,14 @@ from doughdata.scenes import (
     shape_of,
 )
 from doughdata.scenes.regions import REGIONS
-from doughschemas import Action, Body, Scene, SceneError, Tool, UnknownNameError
 
 FAMILIES = {"rolls": (0.008, 0.014, "radius"), "doughnut": (0.018, 0.030, "ring_radius")}
 
 
 def sample(family: str, **key: object) -> Scene:
-    return registry.load("scenes", family)().sample(**{"seed": 0, "number": 0, "split": "train", **key})
+    return registry.load("scenes", family)().sample(
+        **{"seed": 0, "number": 0, "split": "train", **key}
+    )
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -39,7 +42,7 @@ def test_the_same_key_gives_the_same_scene(family: str) -> None:
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_train_and_test_scales_are_disjoint(family: str) -> None:
-    """Body and tool scale of a scene lie in the intervals of its region, and train excludes test."""
+    """The body scale of a scene lies in the intervals of its region; train excludes test."""
     low, high, field = FAMILIES[family]
     for split, regions in (("train", {"train"}), ("test", {"interpolation", "extrapolation"})):
         scenes = [sample(family, number=i, split=split) for i in range(60)]
@@ -91,7 +94,12 @@ def test_opening_follows_the_action() -> None:
     """Closing, holding and opening happen at the stated speed and end where they began."""
     action = Action(opening_start=0.10, opening_end=0.02, speed=0.02, hold=0.5, release=True)
     assert action.duration == pytest.approx(2.0 + 0.5 + 2.0)
-    for time, opening, speed in ((0.0, 0.10, 0.02), (1.0, 0.06, 0.02), (2.2, 0.02, 0.0), (3.5, 0.06, -0.02)):
+    for time, opening, speed in (
+        (0.0, 0.10, 0.02),
+        (1.0, 0.06, 0.02),
+        (2.2, 0.02, 0.0),
+        (3.5, 0.06, -0.02),
+    ):
         assert opening_at(action, time) == pytest.approx((opening, speed))
     assert opening_at(action, 99.0) == pytest.approx((0.10, 0.0))
 
@@ -123,7 +131,10 @@ BROKEN = {
     "overlap": (lambda d: d["bodies"].append(d["bodies"][0]), "overlap"),
     "liquid": (lambda d: d.update(material={"poisson_ratio": 0.5}), "poisson_ratio"),
     "opens": (lambda d: d["actions"][0].update(opening_end=0.2), "opening_end"),
-    "starts inside": (lambda d: d["actions"][0].update(opening_start=0.010, opening_end=0.005), "starts inside"),
+    "starts inside": (
+        lambda d: d["actions"][0].update(opening_start=0.010, opening_end=0.005),
+        "starts inside",
+    ),
     "unknown tool": (lambda d: d.update(tools=["spoon"]), "unknown tool 'spoon'"),
     "tool index": (lambda d: d["actions"][0].update(tool=5), "tool must be 0..0"),
     "newer major": (lambda d: d.update(schema_version="2.0"), "schema_version"),
@@ -138,8 +149,7 @@ def test_a_broken_scene_is_refused_in_one_line(what: str) -> None:
     data = json.loads(json.dumps(valid()))
     damage(data)
     with pytest.raises((SceneError, UnknownNameError)) as caught:
-        scene = scene_from_json(data)
-        finger_mesh(scene.tools[0])  # a mesh file is opened when it is needed
+        finger_mesh(scene_from_json(data).tools[0])  # a mesh file is opened when it is needed
     assert "\n" not in str(caught.value)
     if message:
         assert message in str(caught.value)

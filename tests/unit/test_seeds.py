@@ -1,6 +1,7 @@
 """Seeds."""
 
 import numpy as np
+
 from doughdata.seeds import seed_sequence
 
 

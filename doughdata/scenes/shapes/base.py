@@ -22,7 +22,9 @@ def shape_of(body: Body) -> Shape:
     known = [f.name for f in fields(shape)]
     unknown = sorted(set(body.parameters) - set(known))
     if unknown:
-        raise SceneError(f"shape {body.shape!r} has no {', '.join(unknown)} (it has: {', '.join(known)})")
+        raise SceneError(
+            f"shape {body.shape!r} has no {', '.join(unknown)} (it has: {', '.join(known)})"
+        )
     for field in fields(shape):
         value = body.parameters.get(field.name, 0.0)
         if field.type is float and (isinstance(value, bool) or not isinstance(value, int | float)):
