@@ -39,13 +39,21 @@ NO_POINT = -1  # label of padding
 class DoughDataset(Dataset[dict[str, Tensor]]):
     """Samples for shape and topology learning, one per depth view.
 
-    A sample holds float32 [m], world: `points` (num_points, 3), back-projected dough pixels;
-    `queries` (num_queries, 3), half uniform in the workspace, half about the surface; `tool_points`
-    (2, num_tool_points, 3), on the surfaces of both fingers. And int64: `point_labels`
-    (num_points,), component of each point; `query_labels` (num_queries,), component, or `num_components` for empty
-    space (nearest node of the label grid); `genus` (max_components,), padded with -1;
-    `num_components`, `scene_index`, `frame_index`, `view_index` (scalars). A view in which no dough
-    is seen has zeros as points and -1 as their labels.
+    A sample holds, as float32 in [m], world frame:
+
+    - `points` (num_points, 3): back-projected dough pixels;
+    - `queries` (num_queries, 3): half uniform in the workspace, half about the surface;
+    - `tool_points` (2, num_tool_points, 3): on the surfaces of both fingers;
+
+    and as int64:
+
+    - `point_labels` (num_points,): component of each point;
+    - `query_labels` (num_queries,): component at the nearest node of the label grid, or
+      `num_components` for empty space;
+    - `genus` (max_components,), padded with -1;
+    - `num_components`, `scene_index`, `frame_index`, `view_index`: scalars.
+
+    A view in which no dough is seen has zeros as points and -1 as their labels.
 
     Args:
         uri: the dataset.

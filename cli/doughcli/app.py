@@ -3,6 +3,9 @@
 import errno
 import os
 import sys
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
 
 import typer
 from doughschemas import BadInputError, DoughError
@@ -22,8 +25,25 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+class _InterruptedError(Exception):
+    """Ctrl-C inside a command; typer would turn KeyboardInterrupt into a bare "Aborted"."""
+
+
+def _interruptible(command: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(command)
+    def run(*arguments: Any, **options: Any) -> Any:
+        try:
+            return command(*arguments, **options)
+        except KeyboardInterrupt as error:
+            raise _InterruptedError from error
+
+    return run
+
+
 for module in (generate, render, validate, info, stats, view, plugins):
-    app.command(module.NAME, help=module.HELP, epilog=module.EPILOG)(module.command)
+    app.command(module.NAME, help=module.HELP, epilog=module.EPILOG)(_interruptible(module.command))
 app.add_typer(scenes.app, name="scenes")
 
 
@@ -45,7 +65,7 @@ def main() -> None:
         app()
     except DoughError as error:
         _fail(str(error), BAD_USAGE if isinstance(error, BadInputError) else FELL_SHORT)
-    except KeyboardInterrupt:
+    except (_InterruptedError, KeyboardInterrupt):
         _fail("interrupted; what is committed is safe, the same command goes on", INTERRUPTED)
     except BrokenPipeError:
         os._exit(FELL_SHORT)  # the reader of a pipe went away; nothing left to say

@@ -237,7 +237,9 @@ class _Validation:
 
     def _problem(self, path: str, error: Exception) -> Problem:
         self._damaged.add(path)
-        text = str(error).removeprefix(f"{self._store.uri}: ").removeprefix(f"{path}: ")
+        text = str(error).removeprefix(f"{self._store.uri}: ")
+        for prefix in (str(self._store.local(path)), path):
+            text = text.removeprefix(prefix).lstrip(": ")
         return Problem(file=path, message=text)
 
 

@@ -30,8 +30,10 @@ class MpmConfig:
     gravity: float = 9.81  # [m/s2]
     domain: float = 0.15  # [m], half side of the domain; the workspace ends at 0.1 m
     height: float = 0.12  # [m], top of the domain
-    rest: float = 2e-3  # [m/s]; slower dough sleeps while no finger is near (moves final shapes 10 um)
-    arch: str = "auto"  # auto | cpu | cuda | vulkan
+    rest: float = (
+        2e-3  # [m/s]; slower dough sleeps while no finger is near (moves final shapes 10 um)
+    )
+    arch: str = "auto"  # auto | cpu; there are no kernels for a GPU
 
     def __post_init__(self) -> None:
         limits = {
@@ -74,7 +76,8 @@ class MpmSimulator:
         The same scene and generator state give the same bytes, on one machine.
 
         Raises:
-            SceneError: a tool's mesh cannot be used, or a body is too small for the spacing.
+            SceneError: a tool's mesh cannot be used.
+            BadInputError: a body is too small for the spacing, or an unknown `arch`.
             SimulationError: dough left the domain or the run became unstable.
         """
         try:
@@ -85,7 +88,8 @@ class MpmSimulator:
     def _simulate(self, scene: Scene, rng: np.random.Generator) -> Particles:
         positions, object_ids = fill_bodies(scene, self.config, rng)
         timestamps = np.linspace(0.0, scene.duration, self.config.frames)
-        solver = Solver(positions, self._physics(scene), arch=self.config.arch)
+        middle = scene.actions[0].position
+        solver = Solver(positions, self._physics(scene), middle=middle, arch=self.config.arch)
         tools = [finger_sdf(tool) for tool in scene.tools]
         if self.config.settle > 0:
             solver.advance(self.config.settle)
@@ -130,7 +134,7 @@ def fill_bodies(
     """Jittered lattice points [m], world, inside every body, and the index of their body.
 
     Raises:
-        SceneError: a body holds no particle.
+        BadInputError: a body holds no particle.
     """
     positions, object_ids = [], []
     for number, body in enumerate(scene.bodies):
@@ -183,9 +187,8 @@ def _breaks(scene: Scene, begin: float, end: float) -> list[float]:
     """Times from `begin` to `end` [s] between which no finger changes its speed."""
     times, offset = [begin], 0.0
     for action in scene.actions:
-        for turn in _turns(action):
-            if begin + 1e-9 < offset + turn < end - 1e-9:
-                times.append(offset + turn)
+        turns = [offset + turn for turn in _turns(action)]
+        times.extend(turn for turn in turns if begin + 1e-9 < turn < end - 1e-9)
         offset += action.duration
     return [*times, end]
 
@@ -220,7 +223,9 @@ def _within_reach(solver: Solver, squeeze: Squeeze, seconds: float) -> bool:
     r = solver.x[:, :2] - np.array(squeeze.position)
     along, lateral = c * r[:, 0] + s * r[:, 1], c * r[:, 1] - s * r[:, 0]
     for side in (1.0, -1.0):
-        local = np.stack([side * along - squeeze.opening / 2, side * lateral, solver.x[:, 2]], axis=1)
+        local = np.stack(
+            [side * along - squeeze.opening / 2, side * lateral, solver.x[:, 2]], axis=1
+        )
         if ((local > low) & (local < high)).all(axis=1).any():
             return True
     return False

@@ -1,7 +1,7 @@
 """The counterfactual: would these particles stay together if two sides were driven apart?"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from doughschemas import BadInputError, Material
@@ -17,11 +17,11 @@ __all__ = ["MpmPullApart", "PullConfig"]
 class PullConfig:
     """Numerics of a pull test."""
 
-    material: Material = Material()
+    material: Material = field(default_factory=Material)
     cells: float = 1.5625  # dx / spacing: 2.0 sticks, 1.25 breaks thin necks
-    cfl: float = 0.4
-    density_cap: float = 1.15
-    arch: str = "auto"
+    cfl: float = 0.4  # as `MpmConfig.cfl`
+    density_cap: float = 1.15  # as `MpmConfig.density_cap`
+    arch: str = "auto"  # as `MpmConfig.arch`
 
 
 class MpmPullApart:

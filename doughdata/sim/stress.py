@@ -7,11 +7,22 @@ takes over. Taichi 1.7.4 loses an in-place update that follows a conditional one
 updated in place here.
 """
 
+# Taichi annotations are values, not types.
+# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false
+
 from math import factorial
 
 from doughdata.sim._taichi import ti
 
-__all__ = ["Sym", "hencky_return", "sym_det", "sym_eigen", "sym_exp_deviator", "sym_log", "sym_square"]
+__all__ = [
+    "Sym",
+    "hencky_return",
+    "sym_det",
+    "sym_eigen",
+    "sym_exp_deviator",
+    "sym_log",
+    "sym_square",
+]
 
 Sym = ti.types.vector(6, ti.f32)
 Vec3 = ti.types.vector(3, ti.f32)

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from doughdata.topology.bonds import BondGraph
 from doughdata.topology.pairs import connected, lengths
 
-__all__ = ["SIDE_BOND", "chunks", "crop", "sides"]
+__all__ = ["SIDE_BOND", "cells_along", "chunks", "crop", "sides"]
 
 SIDE_BOND = 2.0  # [spacings]; longer bonds do not hold a side together
 
@@ -66,13 +66,15 @@ def chunks(
     found = []
     for number in np.unique(cluster):
         part = rows[cluster == number]
-        cell = _cells(positions[pairs[part]].mean(axis=1), length)
+        cell = cells_along(positions[pairs[part]].mean(axis=1), length)
         found += [part[cell == k] for k in np.unique(cell)]
     return sorted(found, key=lambda part: tuple(positions[pairs[part]].mean(axis=(0, 1))))
 
 
-def _cells(middles: Float64[np.ndarray, "pairs 3"], length: float) -> Int64[np.ndarray, " pairs"]:
-    """Slice of each point along the longest axis of the cloud."""
+def cells_along(
+    middles: Float64[np.ndarray, "points 3"], length: float
+) -> Int64[np.ndarray, " points"]:
+    """Slice of each point along the longest axis of the cloud, slices about `length` [m] long."""
     centred = middles - middles.mean(axis=0)
     axis = np.linalg.eigh(centred.T @ centred)[1][:, -1]
     along = centred @ axis

@@ -4,14 +4,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from doughschemas import STRAY, FrameTopology, Particles, Scene, Topology, TopologyEvent
-from jaxtyping import Float64, Int32, Int64, UInt8
+from doughschemas import FrameTopology, Particles, Scene, Topology, TopologyEvent
+from jaxtyping import UInt8
 
 from doughdata.stages import PullApart
-from doughdata.topology.genus import Shape, ShapeReader, scene_graph
+from doughdata.topology.genus import Shape, read_shapes, scene_graph
 from doughdata.topology.history import FrameState, History
-from doughdata.topology.pairs import decode, without
-from doughdata.topology.tracking import components_of, find_events, first_labels, next_labels
+from doughdata.topology.pairs import decode
+from doughdata.topology.record import bond_changes
+from doughdata.topology.static import StaticConfig, static_frames
+from doughdata.topology.tracking import (
+    components_of,
+    crumb_limit,
+    find_events,
+    first_labels,
+    next_labels,
+)
 
 __all__ = ["DynamicCheck", "DynamicConfig"]
 
@@ -26,7 +34,6 @@ class DynamicConfig:
     reach: float = 3.0  # pairs up to this long are bonded or in contact
     link: float = 2.5  # bonds up to this long hold a component together
     start: float = 1.5  # particles of a body this near are one piece at the start
-    published: float = 1.75  # bonds up to this long are written to the record
     support_new: float = 0.25  # share of bonded common neighbours at which a new pair bonds
     support_old: float = 0.45  # the same for a contact pair
     finger_depth: float = 0.4  # a bond this deep inside a finger is cut
@@ -34,7 +41,6 @@ class DynamicConfig:
     patch_link: float = 2.2  # contact particles this near are one patch
     patch_length: float = 0.012  # [m], longest patch of one test
     seam_gap: float = 1.7  # a patch beside a merged seam joins it below this gap
-    wall_length: float = 0.008  # [m], contacts whose sides join this near are no hole
     crop: float = 0.016  # [m], of particles around a patch that are pulled
     handle: float = 0.009  # [m] from the patch, beyond which particles are driven
     pull_distance: float = 0.004  # [m], each side
@@ -46,9 +52,10 @@ class DynamicConfig:
     same_place: float = 0.004  # [m], between two tests of one patch
     grown: float = 1.3  # a patch is tested again when it has grown by this factor
     closer: float = 0.05  # or when its gap has closed by this much
-    closing_radii: tuple[float, ...] = (1.75, 1.5, 2.0)  # the first gives the genus
+    closing_radii: tuple[float, ...] = (2.0, 1.75)  # the first gives the genus
     crumb_share: float = 0.02  # of all particles; a smaller piece is a crumb ...
     crumb_volume: float = 0.8e-6  # [m3] ... if it is also smaller than this
+    static: StaticConfig = StaticConfig()  # of the static check beside it
 
 
 class DynamicCheck:
@@ -73,24 +80,27 @@ class DynamicCheck:
         history = History.start(scene, particles, self.config, self.pull_apart)
         states = [history.step(frame) for frame in range(len(particles.positions))]
         labels = self._labels(particles, states)
-        reader = ShapeReader(particles.spacing, self.config.closing_radii)
-        shapes = [
-            reader.read(np.asarray(x, dtype=np.float64), own, state.walls)
-            for x, own, state in zip(particles.positions, labels, states, strict=True)
-        ]
+        shapes = read_shapes(
+            particles.positions,
+            labels,
+            [decode(state.bonds, len(particles.object_ids)) for state in states],
+            [state.contacts for state in states],
+            spacing=particles.spacing,
+            radii=self.config.closing_radii,
+        )
         frames = tuple(
             _frame(x, own, shape, state)
             for x, own, shape, state in zip(
                 particles.positions, labels, shapes, states, strict=True
             )
         )
-        count = len(particles.object_ids)
-        made, broken = _changes(states, count)
+        static = static_frames(particles, self.config.static)
+        made, broken = bond_changes([state.bonds for state in states], len(labels[0]))
         return Topology(
             frames=frames,
             events=tuple(_events(frames, states)),
-            static_num_components=np.zeros(len(frames), np.int32),
-            static_genus=tuple(() for _ in frames),
+            static_num_components=np.array([len(own.genus) for own in static], np.int32),
+            static_genus=tuple(own.genus for own in static),
             bonds_made=made,
             bonds_broken=broken,
         )
@@ -98,10 +108,7 @@ class DynamicCheck:
     def _labels(
         self, particles: Particles, states: Sequence[FrameState]
     ) -> list[UInt8[np.ndarray, " particles"]]:
-        volume = particles.spacing**3
-        crumb = min(
-            self.config.crumb_share * len(particles.object_ids), self.config.crumb_volume / volume
-        )
+        crumb = crumb_limit(particles, self.config.crumb_share, self.config.crumb_volume)
         labels: list[UInt8[np.ndarray, " particles"]] = []
         for state, x in zip(states, particles.positions, strict=True):
             parts = components_of(state.pieces, crumb=crumb)
@@ -121,7 +128,7 @@ def _frame(
     return FrameTopology(
         labels=labels,
         genus=tuple(shape.genus for shape in shapes),
-        graph=scene_graph(np.asarray(x, dtype=np.float64), shapes),
+        graph=scene_graph(np.asarray(x, dtype=np.float64), labels, shapes),
         contacts=state.contacts.astype(np.int32),
         ambiguous_reason="" if all(s.sure for s in shapes) else "the graph is unsure",
     )
@@ -138,25 +145,6 @@ def _events(
         for decision in recent:
             margins[decision.kind] = min(decision.margin, margins.get(decision.kind, np.inf))
         events += find_events(
-            frame,
-            before.labels,
-            after.labels,
-            before.genus,
-            after.genus,
-            cut="split" in margins,
-            margins=margins,
+            frame, before, after, cut="split" in margins, margins=margins
         )
     return events
-
-
-def _changes(
-    states: Sequence[FrameState], count: int
-) -> tuple[tuple[Int32[np.ndarray, "_ 2"], ...], tuple[Int32[np.ndarray, "_ 2"], ...]]:
-    """Bonds made and broken at each key frame; all bonds of frame 0 are made there."""
-    made, broken = [], []
-    before = np.zeros(0, np.int64)
-    for state in states:
-        made.append(decode(without(state.bonds, before), count).astype(np.int32))
-        broken.append(decode(without(before, state.bonds), count).astype(np.int32))
-        before = state.bonds
-    return tuple(made), tuple(broken)

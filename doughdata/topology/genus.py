@@ -5,7 +5,7 @@ change that lasts for one or two key frames is a flicker: it is smoothed and mar
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 from doughschemas import SceneGraph
@@ -13,8 +13,9 @@ from jaxtyping import Float32, Float64, Int64, UInt8
 from scipy.spatial import cKDTree
 
 from doughdata.topology.skeletons import Skeleton, cycle_rank, skeleton_of
-from doughdata.topology.solids import Solid, solid_genus, solids_of
+from doughdata.topology.solids import Closing, Solid, solid_genus
 from doughdata.topology.tracking import count_labels
+from doughdata.topology.walls import find_walls
 
 __all__ = ["Shape", "read_shapes", "scene_graph"]
 
@@ -23,8 +24,6 @@ RETHIN = 2.0  # [spacings]; a component that moved more than this gets a new ske
 STRIDE = 4  # key frames between two readings that agree
 FLICKER = 3  # key frames; a shorter change is smoothed
 SAME = 0.02  # share of particles that a component may lose or win and be the same
-NODE_LENGTH = 0.008  # [m], between nodes of a graph
-SPUR = 0.008  # [m], branches that end sooner are no branches
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,9 +31,9 @@ class Shape:
     """Genus and graph of one component in one key frame."""
 
     genus: int
-    sure: bool  # all closing radii agree and the genus is no flicker
-    skeleton: Skeleton  # where it was made
-    moved: Float64[np.ndarray, "nodes 3"]  # [m], nodes in this key frame
+    sure: bool  # all closing radii agree, the genus is no flicker and the graph has it
+    nodes: Float64[np.ndarray, "nodes 3"]  # [m], world
+    skeleton: Skeleton  # its edges join the nodes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,55 +45,214 @@ class _Reading:
     solid: Solid
 
 
-@dataclass(slots=True, kw_only=True)
 class _Track:
-    """One component while it stays the same, key frames `first` .. `first + len(members) - 1`."""
+    """One component while it stays the same: key frames `first` to `last`."""
 
-    label: int
-    first: int
-    members: list[Int64[np.ndarray, " _"]]
-    readings: dict[int, _Reading] = field(default_factory=dict)
+    def __init__(
+        self,
+        label: int,
+        first: int,
+        members: list[Int64[np.ndarray, " _"]],
+        positions: Float32[np.ndarray, "frames particles 3"],
+        bonds: Sequence[Int64[np.ndarray, "_ 2"]],
+        contacts: Sequence[Int64[np.ndarray, "_ 2"]],
+        *,
+        spacing: float,
+        radii: tuple[float, ...],
+    ) -> None:
+        self.label, self.first, self.members = label, first, members
+        self.last = first + len(members) - 1
+        self.positions, self.spacing, self.radii = positions, spacing, radii
+        self.bonds, self.contacts = bonds, contacts
+        self.readings: dict[int, _Reading] = {}
 
-    @property
-    def last(self) -> int:
-        return self.first + len(self.members) - 1
+    def shapes(self) -> list[Shape]:
+        """The shape in every key frame of the track."""
+        self._refine(self.first, self.last)
+        genus, steady = self._settle()
+        return self._shapes(genus, steady)
+
+    def _at(self, frame: int, members: Int64[np.ndarray, " _"]) -> Float64[np.ndarray, "_ 3"]:
+        return np.asarray(self.positions[frame][members], dtype=np.float64)
+
+    def _read(self, frame: int) -> _Reading:
+        if frame not in self.readings:
+            members = self.members[frame - self.first]
+            inside = np.zeros(self.positions.shape[1], dtype=bool)
+            inside[members] = True
+            near = [
+                np.searchsorted(members, pairs[inside[pairs].all(axis=1)])
+                for pairs in (self.bonds[frame], self.contacts[frame])
+            ]
+            x = self._at(frame, members)
+            closing = Closing(x, self.spacing, largest=max(self.radii))
+            solids = [closing.solid(radius) for radius in self.radii]
+            walls = find_walls(
+                x,
+                *near,
+                closing.gaps(solids[int(np.argmax(self.radii))]),
+                spacing=self.spacing,
+                voxel=closing.size,
+                widest=2 * max(self.radii) * self.spacing,
+            )
+            solids = [closing.opened(solid, walls) for solid in solids]
+            genus = [solid_genus(solid.inside) for solid in solids]
+            self.readings[frame] = _Reading(
+                genus=genus[0], sure=len(set(genus)) == 1, solid=solids[0]
+            )
+        return self.readings[frame]
+
+    def _moved(self, low: int, high: int) -> float:
+        """Largest step [spacings] of a particle along one axis between two key frames."""
+        members = self.members[0]
+        step = np.abs(self.positions[high][members] - self.positions[low][members])
+        return float(step.max()) / self.spacing
+
+    def _refine(self, low: int, high: int) -> None:
+        """Read between two key frames until readings that agree are near."""
+        same = self._read(low).genus == self._read(high).genus
+        if high - low <= 1 or (same and (high - low <= STRIDE or self._moved(low, high) < STILL)):
+            return
+        middle = (low + high) // 2
+        self._refine(low, middle)
+        self._refine(middle, high)
+
+    def _settle(self) -> tuple[list[int], list[bool]]:
+        """Genus of every key frame without flickers, and whether it is sure."""
+        known = sorted(self.readings)
+        frames = np.arange(self.first, self.last + 1)
+        before = np.searchsorted(known, frames, side="right") - 1
+        after = np.minimum(before + 1, len(known) - 1)
+        genus = [self.readings[known[k]].genus for k in before]
+        sure = [
+            self.readings[known[a]].sure and (self.readings[known[b]].sure or known[a] == f)
+            for a, b, f in zip(before, after, frames.tolist(), strict=True)
+        ]
+        edges = [0, *(k for k in range(1, len(genus)) if genus[k] != genus[k - 1]), len(genus)]
+        settled = list(genus)
+        for low, high in zip(edges[:-1], edges[1:], strict=True):
+            if high - low < FLICKER and len(edges) > 2:
+                sure[low:high] = [False] * (high - low)
+                if high < len(genus):  # the last key frames have no later ones to judge them
+                    value = settled[low - 1] if low else genus[high]
+                    settled[low:high] = [value] * (high - low)
+        return settled, sure
+
+    def _shapes(self, genus: list[int], sure: list[bool]) -> list[Shape]:
+        shapes: list[Shape] = []
+        made, skeleton, node = -1, None, np.zeros(0, np.int64)
+        for offset, frame in enumerate(range(self.first, self.last + 1)):
+            reading = self.readings.get(frame)
+            fits = skeleton is not None and _rank(skeleton) == genus[offset]
+            if skeleton is None or (
+                reading is not None
+                and (not fits or self._moved(made, frame) > RETHIN)
+                and reading.genus == genus[offset]
+            ):
+                solid = self._solid_for(frame, genus[offset])
+                skeleton, made = skeleton_of(solid), frame
+                members = self.members[offset]
+                node = cKDTree(skeleton.positions).query(self._at(frame, members))[1]
+                anchor, start = members, self._at(frame, members)
+            moved = _node_shift(node, self._at(frame, anchor) - start, len(skeleton.positions))
+            shapes.append(
+                Shape(
+                    genus=genus[offset],
+                    sure=sure[offset] and _rank(skeleton) == genus[offset],
+                    nodes=skeleton.positions + moved,
+                    skeleton=skeleton,
+                )
+            )
+        return shapes
+
+    def _solid_for(self, frame: int, genus: int) -> Solid:
+        """The solid of a key frame, or of the nearest one read with this genus."""
+        if frame in self.readings and self.readings[frame].genus == genus:
+            return self.readings[frame].solid
+        near = [f for f, r in self.readings.items() if r.genus == genus]
+        return self.readings[min(near, key=lambda f: (abs(f - frame), f))].solid
 
 
 def read_shapes(
     positions: Float32[np.ndarray, "frames particles 3"],
     labels: Sequence[UInt8[np.ndarray, " particles"]],
-    walls: Sequence[Int64[np.ndarray, "_ 2"]],
+    bonds: Sequence[Int64[np.ndarray, "_ 2"]],
+    contacts: Sequence[Int64[np.ndarray, "_ 2"]],
     *,
     spacing: float,
     radii: tuple[float, ...],
 ) -> list[list[Shape]]:
-    """Shapes per key frame, in the order of the labels.
+    """Shapes of every key frame, in the order of the labels.
 
-    `walls` are the unmerged pairs along which solids stay open; the first of `radii` [spacings]
-    gives the genus, the others say whether it is sure.
+    Solids stay open along `contacts` (unmerged near pairs) unless their sides join nearby by
+    `bonds` (short ones). The first of `radii` [spacings] gives the genus, the others say whether it
+    is sure.
     """
-    shapes: list[dict[int, Shape]] = [{} for _ in labels]
-    for track in _tracks(labels):
+    found: list[list[Shape]] = [[] for _ in labels]
+    for label, first, members in _runs(labels):
+        track = _Track(
+            label, first, members, positions, bonds, contacts, spacing=spacing, radii=radii
+        )
+        for offset, shape in enumerate(track.shapes()):
+            found[first + offset].append(shape)
+    return found
 
-        def read(frame: int, track: _Track = track) -> _Reading:
-            if frame not in track.readings:
-                members = track.members[frame - track.first]
-                own = walls[frame][(labels[frame][walls[frame]] == track.label).all(axis=1)]
-                x = np.asarray(positions[frame], dtype=np.float64)[members]
-                track.readings[frame] = _read(x, np.searchsorted(members, own), spacing, radii)
-            return track.readings[frame]
 
-        def still(low: int, high: int, track: _Track = track) -> bool:
-            members = track.members[0]
-            moved = np.abs(positions[low][members] - positions[high][members]).max()
-            return bool(moved < STILL * spacing)
+def _runs(
+    labels: Sequence[UInt8[np.ndarray, " particles"]],
+) -> list[tuple[int, int, list[Int64[np.ndarray, " _"]]]]:
+    """Label, first key frame and members of every component while it stays the same."""
+    done: list[tuple[int, int, list[Int64[np.ndarray, " _"]]]] = []
+    alive: dict[int, tuple[int, int, list[Int64[np.ndarray, " _"]]]] = {}
+    for frame, own in enumerate(labels):
+        now = {}
+        for label in range(count_labels(own)):
+            members = np.flatnonzero(own == label)
+            run = alive.get(label)
+            if run is not None and _same(run[2][-1], members):
+                run[2].append(members)
+            else:
+                run = (label, frame, [members])
+                done.append(run)
+            now[label] = run
+        alive = now
+    return sorted(done, key=lambda run: run[0])
 
-        _refine(track.first, track.last, read, still)
-        genus, sure = _settle(track)
-        skeletons = _skeletons(track, genus, positions, spacing)
-        for offset, frame in enumerate(range(track.first, track.last + 1)):
-            skeleton, moved, exact = skeletons[offset]
-            shapes[frame][track.label] = Shape(
-                genus=genus[offset], sure=sure[offset] and exact, skeleton=skeleton, moved=moved
-            )
-    return [[found[k] for k in sorted(found)] for found in shapes]
+
+def _same(before: Int64[np.ndarray, " _"], after: Int64[np.ndarray, " _"]) -> bool:
+    return len(np.setxor1d(before, after)) <= SAME * max(len(before), len(after))
+
+
+def _rank(skeleton: Skeleton) -> int:
+    return cycle_rank(len(skeleton.positions), skeleton.edges)
+
+
+def _node_shift(
+    node: Int64[np.ndarray, " members"], moved: Float64[np.ndarray, "members 3"], count: int
+) -> Float64[np.ndarray, "nodes 3"]:
+    """Mean motion [m] of the particles nearest to each node."""
+    shift = np.zeros((count, 3))
+    np.add.at(shift, node, moved)
+    return shift / np.maximum(np.bincount(node, minlength=count), 1)[:, None]
+
+
+def scene_graph(
+    positions: Float64[np.ndarray, "particles 3"],
+    labels: UInt8[np.ndarray, " particles"],
+    shapes: Sequence[Shape],
+) -> SceneGraph:
+    """Join the graphs of all components; a node stands for its component's nearest particles."""
+    components, particles, edges, base = [], [], [], 0
+    for k, shape in enumerate(shapes):
+        number = len(shape.nodes)
+        nearest = cKDTree(shape.nodes).query(positions[labels == k])[1]
+        components.append(np.full(number, k, np.uint8))
+        particles.append(np.bincount(nearest, minlength=number).astype(np.int32))
+        edges.append(shape.skeleton.edges + base)
+        base += number
+    return SceneGraph(
+        positions=np.concatenate([shape.nodes for shape in shapes]).astype(np.float32),
+        components=np.concatenate(components),
+        particles=np.concatenate(particles),
+        edges=np.concatenate(edges).astype(np.int32),
+    )

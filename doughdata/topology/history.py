@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from doughdata.stages import PullApart
 from doughdata.topology.bonds import BondGraph
 
-from doughdata.topology.crops import SIDE_BOND, chunks, crop, sides
+from doughdata.topology.crops import SIDE_BOND
 from doughdata.topology.fingers import Gripper, gripper_at
 from doughdata.topology.merges import Patch, merge_patches
 from doughdata.topology.pairs import connected, decode, encode, lengths
@@ -43,9 +43,8 @@ class FrameState:
 
     pieces: Int32[np.ndarray, " particles"]
     contacts: Int64[np.ndarray, "contacts 2"]  # unmerged near pairs
-    walls: Int64[np.ndarray, "walls 2"]  # the contacts whose sides are apart nearby
     decisions: tuple[Decision, ...]
-    bonds: Int64[np.ndarray, " bonds"]  # keys of the published bonds
+    bonds: Int64[np.ndarray, " bonds"]  # keys of the short ones
 
 
 @dataclass(slots=True)
@@ -255,58 +254,9 @@ class History:
         return FrameState(
             pieces=pieces,
             contacts=contacts,
-            walls=self._walls(contacts, pieces),
             decisions=tuple(self.decisions),
-            bonds=published[short < self.config.published * graph.spacing],
+            bonds=published[short < SIDE_BOND * graph.spacing],
         )
-
-    def _walls(
-        self, contacts: Int64[np.ndarray, "contacts 2"], pieces: Int32[np.ndarray, " particles"]
-    ) -> Int64[np.ndarray, "walls 2"]:
-        """Contacts inside a piece whose two sides do not join nearby.
-
-        Where they do, the contact is a fold or the rim of a seam, and no hole.
-        """
-        graph, config = self.graph, self.config
-        inner = contacts[pieces[contacts[:, 0]] == pieces[contacts[:, 1]]]
-        if len(inner) == 0:
-            return inner
-        found: list[Int64[np.ndarray, "walls 2"]] = []
-        bonds = graph.bonded_pairs(SIDE_BOND)
-        s = graph.spacing
-        for rows in chunks(
-            graph.positions,
-            inner,
-            longest=graph.reach * s,
-            link=config.patch_link * s,
-            length=config.wall_length,
-        ):
-            near = crop(graph.positions, np.unique(inner[rows]), config.wall_length)
-            piece = sides(graph, bonds, near)
-            ends = np.sort(piece[inner[rows]], axis=1)
-            apart = ends[:, 0] != ends[:, 1]
-            if apart.mean() >= 0.5:
-                found += self._facing(near, piece, ends[apart])
-        if not found:
-            return inner[:0]
-        return np.unique(np.concatenate(found), axis=0)
-
-    def _facing(
-        self,
-        near: Int64[np.ndarray, " crop"],
-        piece: Int32[np.ndarray, " particles"],
-        ends: Int32[np.ndarray, "pairs 2"],
-    ) -> list[Int64[np.ndarray, "walls 2"]]:
-        """All pairs of two locally separate sides that a closing could bridge."""
-        x, reach = self.graph.positions, 2 * max(self.config.closing_radii) * self.graph.spacing
-        found = []
-        for low, high in np.unique(ends, axis=0):
-            first, second = near[piece[near] == low], near[piece[near] == high]
-            close = cKDTree(x[first]).sparse_distance_matrix(
-                cKDTree(x[second]), reach, output_type="ndarray"
-            )
-            found.append(np.stack([first[close["i"]], second[close["j"]]], axis=1))
-        return [np.sort(pairs, axis=1) for pairs in found]
 
 
 def _patch_key(patch: Patch) -> tuple[str, Float64[np.ndarray, " 3"], int, float]:

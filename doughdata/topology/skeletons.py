@@ -16,6 +16,8 @@ from doughdata.topology.solids import Solid
 
 __all__ = ["Skeleton", "cycle_rank", "skeleton_of"]
 
+NODE_LENGTH = 0.008  # [m], between nodes of a graph
+SPUR = 0.008  # [m], branches that end sooner are no branches
 NEIGHBOUR = 1.8  # [voxels]; over sqrt(3), below 2: the 26 neighbours
 
 
@@ -49,7 +51,9 @@ def cycle_rank(nodes: int, edges: Int32[np.ndarray, "edges 2"]) -> int:
     return len(edges) - nodes + int(connected_components(graph, directed=False)[0])
 
 
-def skeleton_of(solid: Solid, *, length: float, spur: float) -> Skeleton:
+def skeleton_of(
+    solid: Solid, *, length: float = NODE_LENGTH, spur: float = SPUR
+) -> Skeleton:
     """Thin a solid to a graph with a node about every `length` [m].
 
     Branches that end within `spur` [m] are dropped. Thinning (Lee, Kashyap and Chu 1994, in

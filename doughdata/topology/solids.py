@@ -4,7 +4,6 @@ A solid is the morphological closing of the particles: inflated, then deflated t
 around the outer particles. Walls along unmerged contacts are taken out again.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +13,11 @@ from skimage.measure import euler_number
 
 from doughdata.topology.pairs import adjacency
 
-__all__ = ["Solid", "solid_genus", "solids_of"]
+__all__ = ["Closing", "Solid", "solid_genus"]
 
 VOXEL = 0.5  # [spacings]
 COVER = 0.75  # [spacings], of dough kept around the outer particles
+GAP = 1.3  # [spacings]; a lattice leaves no voxel farther than 0.87 from its particles
 WALL = 0.9  # [voxels], half a wall; over sqrt(3)/2, so that no diagonal passes through
 FULL = np.ones((3, 3, 3), dtype=bool)
 
@@ -31,41 +31,59 @@ class Solid:
     size: float  # [m]
 
 
-def solids_of(
-    positions: Float64[np.ndarray, "particles 3"],
-    spacing: float,
-    *,
-    radii: Sequence[float],
-    walls: Int64[np.ndarray, "walls 2"],
-) -> list[Solid]:
-    """Close the particles with balls of several `radii` [spacings].
+class Closing:
+    """Closings of one set of particles with balls of several radii."""
 
-    `walls` are unmerged pairs of particles: the solid stays open half-way between their ends.
-    """
-    size = VOXEL * spacing
-    margin = max(radii) * spacing + 2 * size
-    # Centred on the particles, so that moving them all changes nothing.
-    middle = (positions.min(axis=0) + positions.max(axis=0)) / 2
-    half = np.ceil((np.ptp(positions, axis=0) / 2 + margin) / size).astype(int)
-    origin = middle - half * size
-    grid = np.full(2 * half + 1, -1, dtype=np.int64)
-    cell = np.rint((positions - origin) / size).astype(int)
-    grid[tuple(cell.T)] = np.arange(len(positions))
-    rough, place = distance_transform_edt(grid < 0, return_indices=True)
-    near = np.argwhere(rough * size < margin)
-    particle = grid[tuple(place[:, *near.T])]
-    distance = np.linalg.norm(origin + near * size - positions[particle], axis=1)
-    blocked = near[:0]
-    if len(walls):
-        blocked = near[_wall_voxels(positions, near, particle, walls, origin, size)]
-    solids = []
-    for radius in radii:
-        inflated = np.zeros(grid.shape, dtype=bool)
-        inflated[tuple(near[distance < radius * spacing].T)] = True
-        inside = distance_transform_edt(inflated) * size > (radius - COVER) * spacing
-        inside[tuple(blocked.T)] = False
-        solids.append(Solid(inside=inside, origin=origin, size=size))
-    return solids
+    def __init__(
+        self, positions: Float64[np.ndarray, "particles 3"], spacing: float, *, largest: float
+    ) -> None:
+        """Measure the distance to the particles up to `largest` spacings."""
+        self.positions, self.spacing = positions, spacing
+        self.size = VOXEL * spacing
+        margin = largest * spacing + 2 * self.size
+        # Centred on the particles, so that moving them all changes nothing.
+        middle = (positions.min(axis=0) + positions.max(axis=0)) / 2
+        half = np.ceil((np.ptp(positions, axis=0) / 2 + margin) / self.size).astype(int)
+        self.origin = middle - half * self.size
+        grid = np.full(2 * half + 1, -1, dtype=np.int64)
+        cell = np.rint((positions - self.origin) / self.size).astype(int)
+        grid[tuple(cell.T)] = np.arange(len(positions))
+        rough, place = distance_transform_edt(grid < 0, return_indices=True)
+        self.shape = grid.shape
+        self.voxels = np.argwhere(rough * self.size < margin)
+        self.particle = grid[tuple(place[:, *self.voxels.T])]
+        step = self.centres - positions[self.particle]
+        self.distance = np.sqrt(np.einsum("ij,ij->i", step, step))
+
+    @property
+    def centres(self) -> Float64[np.ndarray, "voxels 3"]:
+        """Centres [m] of the voxels near the particles."""
+        return self.origin + self.voxels * self.size
+
+    def solid(self, radius: float) -> Solid:
+        """The closing with a ball of `radius` spacings."""
+        inflated = np.zeros(self.shape, dtype=bool)
+        inflated[tuple(self.voxels[self.distance < radius * self.spacing].T)] = True
+        depth = distance_transform_edt(inflated) * self.size
+        return Solid(
+            inside=depth > (radius - COVER) * self.spacing, origin=self.origin, size=self.size
+        )
+
+    def gaps(self, solid: Solid) -> Float64[np.ndarray, "gaps 3"]:
+        """Centres [m] of the voxels that only the closing has filled."""
+        filled = solid.inside[tuple(self.voxels.T)] & (self.distance > GAP * self.spacing)
+        return self.centres[filled]
+
+    def opened(self, solid: Solid, walls: Int64[np.ndarray, "walls 2"]) -> Solid:
+        """The solid without the voxels half-way between the ends of unmerged pairs."""
+        if len(walls) == 0:
+            return solid
+        blocked = _wall_voxels(
+            self.positions, self.voxels, self.particle, walls, self.origin, self.size
+        )
+        inside = solid.inside.copy()
+        inside[tuple(self.voxels[blocked].T)] = False
+        return Solid(inside=inside, origin=solid.origin, size=solid.size)
 
 
 def _wall_voxels(

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
+from scipy.spatial import cKDTree
 
 from doughdata.topology.bonds import BondGraph
 from doughdata.topology.crops import SIDE_BOND, crop, sides
@@ -29,6 +30,7 @@ class Neck:
     around: Int64[np.ndarray, " crop"]
     opening: float  # [m], gap between the fingers where the neck is thinnest
     centre: Float64[np.ndarray, " 3"]  # [m]
+    compression: float  # particle volume over the room that they have; at least 1
 
 
 def split_necks(graph: BondGraph, gripper: Gripper, *, radius: float, gate: float) -> list[Neck]:
@@ -103,9 +105,31 @@ def _neck(
                 around=around,
                 opening=opening,
                 centre=x[core].mean(axis=0),
+                compression=_compression(x[core], graph.spacing, gripper, opening),
             )
         radius *= SHRINK
     return None
+
+
+def _compression(
+    core: Float64[np.ndarray, "core 3"], s: float, gripper: Gripper, opening: float
+) -> float:
+    """How many times denser than at rest the particles between the fingers are.
+
+    Between nearly closed fingers a simulation piles particles up in less room than they stand
+    for; the room is counted in small cells.
+    """
+    axes = np.stack([gripper.closing, gripper.lateral, [0.0, 0.0, 1.0]])
+    local = core @ axes.T
+    step = np.array([max(opening, 0.1 * s) / 4, s / 3, s / 3])
+    low, high = local.min(axis=0) - s, local.max(axis=0) + s
+    ticks = [np.arange(a + d / 2, b, d) for a, b, d in zip(low, high, step, strict=True)]
+    cells = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3) @ axes
+    distance = gripper.distances(cells)
+    cells = cells[(distance > 0).all(axis=0) & (distance.sum(axis=0) < opening + LATERAL * s)]
+    near, _ = cKDTree(core).query(cells, distance_upper_bound=0.8 * s)
+    room = np.isfinite(near).sum() * float(step.prod())
+    return max(1.0, len(core) * s**3 / room) if room else 1.0
 
 
 def _bonded_to(

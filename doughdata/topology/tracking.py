@@ -1,16 +1,24 @@
 """From pieces to labels that stay, and from labels and genus to events."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from doughschemas import STRAY, TopologyEvent
+from doughschemas import STRAY, FrameTopology, Particles, TopologyEvent
 from jaxtyping import Float64, Int32, UInt8
 
 from doughdata.topology.pairs import connected
 
-__all__ = ["components_of", "count_labels", "find_events", "first_labels", "next_labels"]
+__all__ = ["components_of", "count_labels",
+    "crumb_limit",
+    "find_events", "first_labels", "next_labels"]
 
 MOST_COMPONENTS = 250  # labels are bytes, the highest are reserved
+SHARED = 0.1  # of the smaller component, that two of different key frames share to be related
+
+
+def crumb_limit(particles: Particles, share: float, volume: float) -> float:
+    """Particles below which a piece is a crumb: less than a share of all and than a volume [m3]."""
+    return min(share * len(particles.object_ids), volume / particles.spacing**3)
 
 
 def components_of(
@@ -88,67 +96,58 @@ def _label(count: int, parts: Sequence[Int32[np.ndarray, " _"]]) -> UInt8[np.nda
 
 def find_events(
     frame: int,
-    before: UInt8[np.ndarray, " particles"],
-    after: UInt8[np.ndarray, " particles"],
-    genus_before: Sequence[int],
-    genus_after: Sequence[int],
+    before: FrameTopology,
+    after: FrameTopology,
     *,
     cut: bool,
-    margins: dict[str, float],
-    share: float = 0.1,
+    margins: Mapping[str, float],
 ) -> list[TopologyEvent]:
-    """What happened between two key frames.
+    """What happened between key frame `frame - 1` and `frame`.
 
-    Components that share particles (over `share` of the smaller one) form a group. Its number of
-    components tells merges and splits; what its total genus then gains or loses is a self-merge
-    (a new handle, or a hole that closed) or, where a neck was `cut` and the genus fell, a
-    self-split. `margins` are those of the decisions of these frames, by kind.
+    Components that share particles form a group. Its number of components tells merges and splits;
+    what its total genus then gains or loses is a self-merge (a new handle, or a hole that closed)
+    or, where a neck was `cut` and the genus fell, a self-split. `margins` are those of the
+    decisions around this key frame, by kind (merge, split); 0 where no pull test decided.
     """
     events = []
-    for old, new in _groups(before, after, len(genus_before), len(genus_after), share):
-        gain = sum(genus_after[k] for k in new) - sum(genus_before[k] for k in old)
+    for old, new in _groups(before, after):
+        gain = sum(after.genus[k] for k in new) - sum(before.genus[k] for k in old)
         kinds = []
-        if len(old) > 1 and (len(new) < len(old) or len(new) > 1):
+        if len(old) > 1:
             kinds.append("merge")
-        if len(new) > 1 and (len(new) > len(old) or len(old) > 1):
+        if len(new) > 1:
             kinds.append("split")
         if gain != 0:
             kinds.append("self_split" if gain < 0 and cut else "self_merge")
         for kind in kinds:
-            margin = margins.get(kind.removeprefix("self_"), 0.0)
             events.append(
                 TopologyEvent(
                     frame=frame,
                     kind=kind,
                     components_before=tuple(old),
                     components_after=tuple(new),
-                    margin=float(margin),
+                    margin=float(margins.get(kind.removeprefix("self_"), 0.0)),
                 )
             )
     return events
 
 
-def _groups(
-    before: UInt8[np.ndarray, " particles"],
-    after: UInt8[np.ndarray, " particles"],
-    number_before: int,
-    number_after: int,
-    share: float,
-) -> list[tuple[list[int], list[int]]]:
+def _groups(before: FrameTopology, after: FrameTopology) -> list[tuple[list[int], list[int]]]:
     """Labels before and after that belong together, in the order of the lowest label."""
-    both = (before != STRAY) & (after != STRAY)
-    table = np.zeros((number_before, number_after), dtype=int)
-    np.add.at(table, (before[both], after[both]), 1)
-    size_before = np.bincount(before[before != STRAY], minlength=number_before)
-    size_after = np.bincount(after[after != STRAY], minlength=number_after)
-    smaller = np.minimum(size_before[:, None], size_after[None, :])
-    rows, columns = np.nonzero(table > share * np.maximum(smaller, 1))
-    links = np.stack([rows, columns + number_before], axis=1)
-    group = connected(links, number_before + number_after)
+    was, now = before.num_components, after.num_components
+    both = (before.labels != STRAY) & (after.labels != STRAY)
+    table = np.zeros((was, now), dtype=int)
+    np.add.at(table, (before.labels[both], after.labels[both]), 1)
+    size_was = np.bincount(before.labels[before.labels != STRAY], minlength=was)
+    size_now = np.bincount(after.labels[after.labels != STRAY], minlength=now)
+    smaller = np.minimum(size_was[:, None], size_now[None, :])
+    rows, columns = np.nonzero(table > SHARED * np.maximum(smaller, 1))
+    group = connected(np.stack([rows, columns + was], axis=1), was + now)
     found = []
     for number in dict.fromkeys(group.tolist()):
         members = np.flatnonzero(group == number)
-        old = [int(k) for k in members if k < number_before]
-        new = [int(k) - number_before for k in members if k >= number_before]
-        found.append((old, new))
+        old = [int(k) for k in members if k < was]
+        new = [int(k) - was for k in members if k >= was]
+        if old and new:  # else a crumb that grew or a component that crumbled
+            found.append((old, new))
     return found

@@ -24,12 +24,6 @@ DOTS_PER_INCH = 150
 CELL = (2.2, 1.65)  # [inch], width and height of a panel
 HEAD = 0.55  # [inch], for the titles of a scene
 SIDE = 0.62  # [inch], for the names of the rows
-EVENTS = {
-    "merge": "merge",
-    "split": "split",
-    "self_merge": "ring closes",
-    "self_split": "ring opens",
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,11 +117,8 @@ def _head(axes: Any, strip: SceneStrip, column: int) -> None:
         1.0, 1.03, f"c = {topology.num_components}   g = {genus}", transform=axes.transAxes,
         fontsize=8, fontweight="bold", ha="right", va="bottom",
     )  # fmt: skip
-    badges = [
-        (f"{EVENTS.get(e.kind, e.kind)} @ {e.frame}", "#2b6cb0")
-        for e in strip.events
-        if since < e.frame <= frame
-    ]
+    happened = [event for event in strip.events if since < event.frame <= frame]
+    badges = [(text, "#2b6cb0") for text in _event_texts(happened)]
     if topology.ambiguous:
         badges.append((f"ambiguous: {topology.ambiguous_reason}"[:38], "#b7791f"))
     for line, (text, colour) in enumerate(badges):
@@ -135,6 +126,17 @@ def _head(axes: Any, strip: SceneStrip, column: int) -> None:
             0.03, 0.96 - 0.115 * line, text, transform=axes.transAxes, fontsize=6.5, color="white",
             va="top", zorder=9, bbox={"facecolor": colour, "pad": 1.8, "linewidth": 0},
         )  # fmt: skip
+
+
+def _event_texts(events: Sequence[TopologyEvent]) -> list[str]:
+    """One line a kind: `split @ 41`, or `self-merge @ 51-54 (4)` for several."""
+    texts = []
+    for kind in dict.fromkeys(event.kind for event in events):
+        frames = [event.frame for event in events if event.kind == kind]
+        first, last, name = min(frames), max(frames), kind.replace("_", "-")
+        span = f"{first}" if first == last else f"{first}\N{EN DASH}{last}"
+        texts.append(f"{name} @ {span}" + (f" ({len(frames)})" if len(frames) > 1 else ""))
+    return texts
 
 
 def _window(strip: SceneStrip, view: View) -> tuple[tuple[float, float], tuple[float, float]]:

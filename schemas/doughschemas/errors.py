@@ -1,7 +1,8 @@
 """The exception tree. A message says what was expected, what came and what to do, in one line."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
+from typing import Any
 
 __all__ = [
     "BadInputError",
@@ -18,7 +19,18 @@ __all__ = [
 
 
 class DoughError(Exception):
-    """Base of every error that doughdata raises on purpose."""
+    """Base of every error that doughdata raises on purpose; survives the way out of a worker."""
+
+    def __reduce__(self) -> tuple[Callable[..., "DoughError"], tuple[type, str, dict[str, Any]]]:
+        return _restored, (type(self), str(self), dict(self.__dict__))
+
+
+def _restored(kind: type["DoughError"], message: str, state: dict[str, Any]) -> "DoughError":
+    """An error as it was pickled, whatever its own `__init__` asks for."""
+    error = kind.__new__(kind, message)
+    Exception.__init__(error, message)
+    error.__dict__.update(state)
+    return error
 
 
 class BadInputError(DoughError):

@@ -159,6 +159,6 @@ def test_a_full_disk_is_told_and_loses_nothing(tiny_scenes: Path, tmp_path: Path
     done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
     assert "Traceback" not in done.stderr
-    assert "File too large" in done.stderr.splitlines()[-1]
+    assert "file too large" in done.stderr.splitlines()[-1]
     command("generate", "--scenes", tiny_scenes, *options, cwd=tmp_path)
     command("validate", "--deep", cwd=tmp_path)

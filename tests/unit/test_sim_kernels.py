@@ -6,37 +6,45 @@ from doughschemas import Action, Tool
 
 from doughdata.scenes import PRESETS, finger_poses
 from doughdata.scenes.sdf import SignedDistanceGrid, finger_sdf
+from doughdata.sim import contact as rigid
 from doughdata.sim import kernels
 from doughdata.sim._taichi import start, ti
 
 start("cpu")
-Vectors, Nodes, Scalars, Integers = kernels.Vectors, kernels.Nodes, kernels.Scalars, kernels.Integers
+Vectors, Nodes, Scalars, Integers = (
+    kernels.Vectors,
+    kernels.Nodes,
+    kernels.Scalars,
+    kernels.Integers,
+)
 YAW, GAP, OPENING = 0.6, (0.012, -0.007), 0.031
 
 
 @ti.kernel
-def run_frames(p: Vectors, local: Vectors, back: Vectors, finger: ti.i32, contact: kernels.Contact):
+def run_frames(p: Vectors, local: Vectors, back: Vectors, finger: ti.i32, contact: rigid.Contact):
     for i in range(p.shape[0]):
-        local[i] = kernels.finger_local(p[i], finger, contact.opening, contact)
-        back[i] = kernels.finger_world(p[i], finger, contact)
+        local[i] = rigid.finger_local(p[i], finger, contact.opening, contact)
+        back[i] = rigid.finger_world(p[i], finger, contact)
 
 
 @ti.kernel
-def run_sample(p: Vectors, sdf: Scalars, found: Nodes, held: Integers, contact: kernels.Contact):
+def run_sample(p: Vectors, sdf: Scalars, found: Nodes, held: Integers, contact: rigid.Contact):
     for i in range(p.shape[0]):
-        distance, gradient = kernels.sdf_sample(p[i], sdf, contact)
-        found[i] = kernels.Vec4(gradient[0], gradient[1], gradient[2], distance)
-        held[i] = kernels.sdf_holds(p[i], 0.001, contact)
+        distance, gradient = rigid.sdf_sample(p[i], sdf, contact)
+        found[i] = rigid.Vec4(gradient[0], gradient[1], gradient[2], distance)
+        held[i] = rigid.sdf_holds(p[i], 0.001, contact)
 
 
 @ti.kernel
 def run_coulomb(v: Vectors, wall: Vectors, normal: Vectors, after: Vectors, friction: ti.f32):
     for i in range(v.shape[0]):
-        after[i] = kernels.coulomb(v[i], wall[i], normal[i], friction)
+        after[i] = rigid.coulomb(v[i], wall[i], normal[i], friction)
 
 
 @ti.kernel
-def run_weights(p: Vectors, base: Vectors, w: ti.types.ndarray(dtype=kernels.Mat3, ndim=1), grid: kernels.Grid):
+def run_weights(
+    p: Vectors, base: Vectors, w: ti.types.ndarray(dtype=kernels.Mat3, ndim=1), grid: rigid.Grid
+):
     for i in range(p.shape[0]):
         b, _, w0, w1, w2 = kernels.weights(p[i], grid)
         base[i] = ti.cast(b, ti.f32)
@@ -47,16 +55,18 @@ def run_weights(p: Vectors, base: Vectors, w: ti.types.ndarray(dtype=kernels.Mat
 
 
 @ti.kernel
-def run_find(sdf: Scalars, colliders: Nodes, free: Scalars, grid: kernels.Grid, contact: kernels.Contact):
+def run_find(
+    sdf: Scalars, colliders: Nodes, free: Scalars, grid: rigid.Grid, contact: rigid.Contact
+):
     for _ in range(1):
-        kernels.find_fingers(
-            kernels.Int3(0, 0, 0), grid.shape, contact.opening, sdf, colliders, free, grid, contact
+        rigid.find_fingers(
+            rigid.Int3(0, 0, 0), grid.shape, contact.opening, sdf, colliders, free, grid, contact
         )
 
 
-def contact_of(sdf: SignedDistanceGrid) -> kernels.Contact:
+def contact_of(sdf: SignedDistanceGrid) -> rigid.Contact:
     """Fingers at the pose of this module."""
-    return kernels.Contact(
+    return rigid.Contact(
         fingers=2,
         gap=kernels.Vec3(*GAP, 0.0),
         axis=kernels.Vec3(np.cos(YAW), np.sin(YAW), 0.0),
@@ -67,7 +77,7 @@ def contact_of(sdf: SignedDistanceGrid) -> kernels.Contact:
         band=0.0015,
         sdf_origin=kernels.Vec3(*sdf.origin),
         sdf_spacing=sdf.spacing,
-        sdf_shape=kernels.Int3(*sdf.values.shape),
+        sdf_shape=rigid.Int3(*sdf.values.shape),
     )
 
 
@@ -130,9 +140,7 @@ def test_coulomb() -> None:
 def test_weights() -> None:
     """B-spline weights sum to one and reproduce a particle's position (no first-order error)."""
     dx, origin = 0.003125, np.array([-0.1, -0.1, -0.05])
-    grid = kernels.Grid(
-        origin=kernels.Vec3(*origin), dx=dx, shape=kernels.Int3(64, 64, 64), table=-1
-    )
+    grid = rigid.Grid(origin=kernels.Vec3(*origin), dx=dx, shape=rigid.Int3(64, 64, 64), table=-1)
     points = random_points(-0.04, 0.04, seed=5)
     base, w = np.zeros_like(points), np.zeros((len(points), 3, 3), np.float32)
     run_weights(points, base, w, grid)
@@ -148,7 +156,7 @@ def test_occupied_volume_is_that_of_the_fingers(name: str) -> None:
     sdf, dx = finger_sdf(tool), 0.003125
     shape = (56, 56, 32)
     origin = np.array([GAP[0], GAP[1], 0.0]) - dx * np.array([28, 28, 6])
-    grid = kernels.Grid(origin=kernels.Vec3(*origin), dx=dx, shape=kernels.Int3(*shape), table=-1)
+    grid = rigid.Grid(origin=kernels.Vec3(*origin), dx=dx, shape=rigid.Int3(*shape), table=-1)
     total = int(np.prod(shape))
     colliders, free = np.zeros((2 * total, 4), np.float32), np.zeros(2 * total, np.float32)
     run_find(sdf.values.reshape(-1), colliders, free, grid, contact_of(sdf))
@@ -161,7 +169,7 @@ def test_node_distances_are_those_of_the_fingers() -> None:
     tool = Tool(name="test", depth=0.012, width=0.02, height=0.03)
     sdf, dx, shape = finger_sdf(tool), 0.003125, (40, 40, 24)
     origin = np.array([GAP[0], GAP[1], 0.0]) - dx * np.array([20, 20, 6])
-    grid = kernels.Grid(origin=kernels.Vec3(*origin), dx=dx, shape=kernels.Int3(*shape), table=-1)
+    grid = rigid.Grid(origin=kernels.Vec3(*origin), dx=dx, shape=rigid.Int3(*shape), table=-1)
     total = int(np.prod(shape))
     colliders, free = np.zeros((2 * total, 4), np.float32), np.zeros(2 * total, np.float32)
     run_find(sdf.values.reshape(-1), colliders, free, grid, contact_of(sdf))

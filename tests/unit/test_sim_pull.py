@@ -14,7 +14,7 @@ PULL = MpmPullApart(PullConfig(arch="cpu"))
 
 
 def bar(*, neck: float = 1.0, gap: float = 0.0) -> np.ndarray:
-    """A 40 x 16 x 16 mm bar, its middle 4 mm thinned to half width `neck` [m] or cut by `gap` [m]."""
+    """A 40 x 16 x 16 mm bar, its middle thinned to half width `neck` [m] or cut by `gap` [m]."""
     axes = [np.arange(-h + SPACING / 2, h, SPACING) for h in (0.020, 0.008, 0.008)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     thick = np.abs(grid[:, 1:]).max(axis=1) < neck

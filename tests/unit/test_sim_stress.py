@@ -35,9 +35,9 @@ def run_eigen(s: Symmetrics, values: Vectors, axes: Matrices, rebuilt: Symmetric
 @ti.kernel
 def run_log(s: Symmetrics, deviator: Symmetrics, log_det: Scalars):
     for i in range(s.shape[0]):
-        d, l = stress.sym_log(s[i])
-        deviator[i] = d
-        log_det[i] = l
+        dev, trace = stress.sym_log(s[i])
+        deviator[i] = dev
+        log_det[i] = trace
 
 
 @ti.kernel
@@ -47,7 +47,9 @@ def run_exp(x: Symmetrics, result: Symmetrics):
 
 
 @ti.kernel
-def run_return(s: Symmetrics, b: Symmetrics, tau: Symmetrics, yield_strain: ti.f32, largest: ti.f32):
+def run_return(
+    s: Symmetrics, b: Symmetrics, tau: Symmetrics, yield_strain: ti.f32, largest: ti.f32
+):
     for i in range(s.shape[0]):
         b_i, tau_i = stress.hencky_return(s[i], SHEAR, BULK, yield_strain, largest)
         b[i] = b_i
@@ -136,7 +138,9 @@ def test_exponential(size: float) -> None:
     assert np.abs(unpack(got) - exact).max() < 1e-5 * scale
 
 
-@pytest.mark.parametrize(("size", "yield_strain"), [(0.05, 0.046), (0.5, 0.046), (0.5, 0.4), (0.8, 1e9)])
+@pytest.mark.parametrize(
+    ("size", "yield_strain"), [(0.05, 0.046), (0.5, 0.046), (0.5, 0.4), (0.8, 1e9)]
+)
 def test_return_mapping(size: float, yield_strain: float) -> None:
     """Stress and strain after yield are those of radial return in logarithmic strain."""
     s = pack(apply(random_symmetric(size, seed=4), np.exp))
@@ -163,7 +167,12 @@ def test_yield_cap() -> None:
     mises = np.sqrt(1.5) * np.linalg.norm(deviator(unpack(tau)), axis=(1, 2))
     assert mises.max() <= yield_stress * (1 + 1e-4)
     assert mises.max() > 0.99 * yield_stress
-    after = np.sqrt(1.5) * 2 * SHEAR * np.linalg.norm(deviator(0.5 * apply(unpack(b), np.log)), axis=(1, 2))
+    after = (
+        np.sqrt(1.5)
+        * 2
+        * SHEAR
+        * np.linalg.norm(deviator(0.5 * apply(unpack(b), np.log)), axis=(1, 2))
+    )
     assert after.max() <= yield_stress * (1 + 1e-3)
 
 

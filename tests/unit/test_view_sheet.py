@@ -248,6 +248,16 @@ def test_heads_tell_topology_events_and_doubts() -> None:
     assert {"ring", "particles", "mesh", "scene graph", "depth\n(realsense)"} <= set(titles)
 
 
+def test_events_of_a_kind_share_a_line() -> None:
+    """Several events of one kind between two columns stand on one line with their number."""
+    split = ring_topology(ring_particles()).events[0]
+    events = (replace(split, frame=2), split, replace(split, frame=3, kind="self_merge"))
+    figure = draw_sheet([strip(events=events)])
+    texts = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert "split @ 2\N{EN DASH}4 (2)" in texts
+    assert "self-merge @ 3" in texts
+
+
 def test_panels_use_the_component_colours() -> None:
     """Particles have the colours of their components, crumbs grey; the graph has the same."""
     figure = draw_sheet([strip()])

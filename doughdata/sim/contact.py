@@ -1,0 +1,179 @@
+"""Rigid fingers and table as Taichi functions: frames, distances, Coulomb contact, free volume."""
+
+# Taichi annotations are values, not types.
+# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false
+
+from doughdata.sim._taichi import ti
+from doughdata.sim.stress import Vec3
+
+__all__ = [
+    "Contact",
+    "Grid",
+    "Int3",
+    "Vec4",
+    "coulomb",
+    "find_fingers",
+    "finger_local",
+    "finger_side",
+    "finger_world",
+    "sdf_holds",
+    "sdf_sample",
+]
+
+Vec4 = ti.types.vector(4, ti.f32)
+Int3 = ti.types.vector(3, ti.i32)
+FAR = 1e3  # [m], distance of a node that no finger can touch
+
+
+@ti.dataclass
+class Grid:
+    """Where the background grid lies."""
+
+    origin: Vec3  # [m]
+    dx: ti.f32  # [m]
+    shape: Int3
+    table: ti.i32  # index k of the layer of nodes at z = 0; -1 without a table
+
+
+@ti.dataclass
+class Contact:
+    """Both fingers, their signed distance and the table."""
+
+    fingers: ti.i32  # 0 or 2
+    gap: Vec3  # [m], middle of the gap
+    axis: Vec3  # unit vector, closing axis
+    opening: ti.f32  # [m], at the first substep
+    rate: ti.f32  # [m/s], of the opening; negative while it closes
+    friction: ti.f32
+    table_friction: ti.f32
+    band: ti.f32  # [m], over which a finger's influence on nodes fades
+    sdf_origin: Vec3  # [m], finger frame
+    sdf_spacing: ti.f32  # [m]
+    sdf_shape: Int3
+
+
+@ti.func
+def finger_side(finger):
+    """Which way a finger lies along the closing axis."""
+    return ti.select(finger == 0, 1.0, -1.0)
+
+
+@ti.func
+def finger_local(point, finger, opening, contact: ti.template()):
+    """World -> finger frame [m]."""
+    side = finger_side(finger)
+    r = point - contact.gap
+    along = contact.axis[0] * r[0] + contact.axis[1] * r[1]
+    lateral = contact.axis[0] * r[1] - contact.axis[1] * r[0]
+    return Vec3(side * along - 0.5 * opening, side * lateral, r[2])
+
+
+@ti.func
+def finger_world(vector, finger, contact: ti.template()):
+    """Direction: finger frame -> world."""
+    side = finger_side(finger)
+    along, lateral = side * vector[0], side * vector[1]
+    c, s = contact.axis[0], contact.axis[1]
+    return Vec3(c * along - s * lateral, s * along + c * lateral, vector[2])
+
+
+@ti.func
+def sdf_holds(local, margin, contact: ti.template()):
+    """Whether a point [m] lies in the distance grid, `margin` [m] away from its border."""
+    inside = 1
+    for d in ti.static(range(3)):
+        high = contact.sdf_origin[d] + contact.sdf_spacing * (contact.sdf_shape[d] - 1)
+        if local[d] < contact.sdf_origin[d] + margin or local[d] > high - margin:
+            inside = 0
+    return inside
+
+
+@ti.func
+def sdf_sample(local, sdf: ti.template(), contact: ti.template()):
+    """Trilinear distance [m] and its unit gradient, both in the finger frame."""
+    u = (local - contact.sdf_origin) / contact.sdf_spacing
+    low = Int3(0, 0, 0)
+    for d in ti.static(range(3)):
+        low[d] = ti.max(0, ti.min(ti.cast(u[d], ti.i32), contact.sdf_shape[d] - 2))
+    f = u - ti.cast(low, ti.f32)
+    ny, nz = contact.sdf_shape[1], contact.sdf_shape[2]
+    at = (low[0] * ny + low[1]) * nz + low[2]
+    s000, s001 = sdf[at], sdf[at + 1]
+    s010, s011 = sdf[at + nz], sdf[at + nz + 1]
+    s100, s101 = sdf[at + ny * nz], sdf[at + ny * nz + 1]
+    s110, s111 = sdf[at + ny * nz + nz], sdf[at + ny * nz + nz + 1]
+    a00, a01 = s000 + (s001 - s000) * f[2], s010 + (s011 - s010) * f[2]
+    a10, a11 = s100 + (s101 - s100) * f[2], s110 + (s111 - s110) * f[2]
+    b0, b1 = a00 + (a01 - a00) * f[1], a10 + (a11 - a10) * f[1]
+    z0 = (s001 - s000) * (1.0 - f[1]) + (s011 - s010) * f[1]
+    z1 = (s101 - s100) * (1.0 - f[1]) + (s111 - s110) * f[1]
+    gradient = Vec3(
+        b1 - b0,
+        (a01 - a00) * (1.0 - f[0]) + (a11 - a10) * f[0],
+        z0 * (1.0 - f[0]) + z1 * f[0],
+    )
+    length = ti.sqrt(gradient.dot(gradient))
+    return b0 + (b1 - b0) * f[0], gradient / ti.max(length, 1e-9)
+
+
+@ti.func
+def coulomb(velocity, wall, normal, friction):
+    """Velocity [m/s] after contact: no inward normal part, tangential part slowed by friction."""
+    relative = velocity - wall
+    inward = relative.dot(normal)
+    result = velocity
+    if inward < 0.0:
+        tangential = relative - inward * normal
+        speed = ti.sqrt(tangential.dot(tangential))
+        keep = ti.select(speed > 1e-12, ti.max(0.0, 1.0 + friction * inward / speed), 0.0)
+        result = wall + keep * tangential
+    return result
+
+
+@ti.func
+def find_fingers(
+    low,
+    high,
+    opening,
+    sdf: ti.template(),
+    colliders: ti.template(),
+    free: ti.template(),
+    grid: ti.template(),
+    contact: ti.template(),
+):
+    """Distance and normal of both fingers at the nodes, and the volume they leave free there."""
+    total = grid.shape[0] * grid.shape[1] * grid.shape[2]
+    for i, j, k in ti.ndrange((low[0], high[0]), (low[1], high[1]), (low[2], high[2])):
+        at = (i * grid.shape[1] + j) * grid.shape[2] + k
+        node = grid.origin + grid.dx * Vec3(i, j, k)
+        occupied = 0.0
+        for finger in range(2):
+            local = finger_local(node, finger, opening, contact)
+            found = Vec4(0.0, 0.0, 0.0, FAR)
+            if sdf_holds(local, 0.5 * grid.dx, contact):
+                distance, gradient = sdf_sample(local, sdf, contact)
+                n = finger_world(gradient, finger, contact)
+                found = Vec4(n[0], n[1], n[2], distance)
+                if distance < grid.dx:  # eight samples of the node's cell, each half a cell wide
+                    for o in range(8):
+                        corner = local + (Vec3(o // 4, (o // 2) % 2, o % 2) - 0.5) * (0.5 * grid.dx)
+                        d, _ = sdf_sample(corner, sdf, contact)
+                        filled = ti.max(0.0, ti.min(1.0, 0.5 - 2.0 * d / grid.dx))
+                        occupied = occupied + 0.125 * filled
+            colliders[finger * total + at] = found
+        free[at] = ti.max(0.0, 1.0 - occupied)
+    for d in range(3):  # B-spline taps along one axis after the other, from one half to the other
+        source, target = (d % 2) * total, (1 - d % 2) * total
+        stride = ti.select(
+            d == 0, grid.shape[1] * grid.shape[2], ti.select(d == 1, grid.shape[2], 1)
+        )
+        for i, j, k in ti.ndrange((low[0], high[0]), (low[1], high[1]), (low[2], high[2])):
+            at = source + (i * grid.shape[1] + j) * grid.shape[2] + k
+            index = ti.select(d == 0, i - low[0], ti.select(d == 1, j - low[1], k - low[2]))
+            size = ti.select(
+                d == 0, high[0] - low[0], ti.select(d == 1, high[1] - low[1], high[2] - low[2])
+            )
+            value = free[at]
+            if index > 0 and index < size - 1:
+                value = 0.75 * free[at] + 0.125 * (free[at - stride] + free[at + stride])
+            free[at - source + target] = value

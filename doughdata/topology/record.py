@@ -1,0 +1,23 @@
+"""From what the checks found to the fields of the record."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Int32, Int64
+
+from doughdata.topology.pairs import decode, without
+
+__all__ = ["bond_changes"]
+
+
+def bond_changes(
+    bonds: Sequence[Int64[np.ndarray, " _"]], count: int
+) -> tuple[tuple[Int32[np.ndarray, "_ 2"], ...], tuple[Int32[np.ndarray, "_ 2"], ...]]:
+    """Pairs made and broken at each key frame, from sorted keys; all of frame 0 are made there."""
+    made, broken = [], []
+    before = np.zeros(0, np.int64)
+    for now in bonds:
+        made.append(decode(without(now, before), count).astype(np.int32))
+        broken.append(decode(without(before, now), count).astype(np.int32))
+        before = now
+    return tuple(made), tuple(broken)
