@@ -50,8 +50,10 @@ def frames(count: int) -> list[tuple[Cloud, FrameTopology]]:
         states.append([squeeze(c, factor=factor, width=0.015) for c in pair])
         states.append([squeeze(ring(seed=step), factor=factor, width=0.012)])
         long = 1.0 + step / max(count - 1, 1)
-        states.append([roll(0.0, seed=step) * [long**-0.5, long, long**-0.5]])
-    return [_frame(clouds) for clouds in states]
+        stretched = roll(0.0, length=0.120, seed=step) * [long**-0.5, long, long**-0.5]
+        states.append([stretched])
+    genera = [(0, 0), (1,), (0,)] * count
+    return [_frame(clouds, genus) for clouds, genus in zip(states, genera, strict=True)]
 
 
 def measure(mesher: Mesher, states: list[tuple[Cloud, FrameTopology]]) -> dict[str, float | int]:
@@ -90,7 +92,7 @@ def _lattice(low: tuple[float, ...], high: tuple[float, ...], seed: int) -> Clou
     return points + rng.uniform(-0.2, 0.2, points.shape) * SPACING
 
 
-def _frame(clouds: list[Cloud]) -> tuple[Cloud, FrameTopology]:
+def _frame(clouds: list[Cloud], genus: tuple[int, ...]) -> tuple[Cloud, FrameTopology]:
     sizes = [len(cloud) for cloud in clouds]
     components = np.arange(len(clouds), dtype=np.uint8)
     graph = SceneGraph(
@@ -101,7 +103,7 @@ def _frame(clouds: list[Cloud]) -> tuple[Cloud, FrameTopology]:
     )
     topology = FrameTopology(
         labels=np.repeat(components, sizes),
-        genus=(0,) * len(clouds),
+        genus=genus,
         graph=graph,
         contacts=np.zeros((0, 2), np.int32),
     )

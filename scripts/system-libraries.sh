@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Open3D needs libusb-1.0 and an OpenMP and GL runtime that a bare Debian lacks. Install them when root, else say how.
+# Open3D needs libusb-1.0, OpenMP, GL and X11 libraries that a bare Debian lacks. Install them when root, else say how.
 set -eu
-declare -A package=([libusb-1.0.so.0]=libusb-1.0-0 [libgomp.so.1]=libgomp1 [libGL.so.1]=libgl1 [libX11.so.6]=libx11-6)
+declare -A package=([libusb-1.0.so.0]=libusb-1.0-0 [libgomp.so.1]=libgomp1 [libGL.so.1]=libgl1 [libEGL.so.1]=libegl1 [libX11.so.6]=libx11-6)
 missing=()
 for library in "${!package[@]}"; do
   ldconfig -p 2>/dev/null | grep -q "$library" || missing+=("${package[$library]}")

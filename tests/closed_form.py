@@ -1,8 +1,8 @@
 """Two small scenes whose every value is known by construction: dough made of whole cubes.
 
 A cube of side SPACING stands for one particle at its centre, so volumes, surfaces, labels, genus
-A cube of side SPACING stands for one particle at its centre, so volumes, surfaces, labels, genus
-and depth images follow by counting. `cut_ring`: a square ring is cut once (genus 1 -> 0), then again
+and depth images follow by counting. `cut_ring`: a square ring is cut once (genus 1 -> 0), then
+again (1 -> 2 components). `joined_bars`: two bars come nearer, touch (still 2) and merge (1).
 """
 
 from dataclasses import dataclass

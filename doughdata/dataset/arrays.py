@@ -30,7 +30,7 @@ class ArraySpec:
 
     data: np.ndarray
     axes: tuple[str, ...]  # names of the dimensions; the first is the row
-    fill: float  # value of padding
+    fill: int | float  # value of padding
     by_row: bool = True  # one chunk a row; False: all rows in one chunk, for small numbers
     shuffle: Literal["shuffle", "bitshuffle"] = "bitshuffle"
     attributes: Mapping[str, Any] = field(default_factory=dict)
@@ -84,7 +84,7 @@ class ShardedArray:
         except (OSError, KeyError, TypeError, ValueError) as error:
             raise DamagedDatasetError(f"{folder}/zarr.json cannot be read: {error}") from error
 
-    @property
+    @cached_property
     def file(self) -> Path:
         """The one file that holds the data."""
         return self.folder.joinpath("c", *["0"] * len(self.shape))
@@ -102,14 +102,18 @@ class ShardedArray:
         """
         if self.chunk is None:
             return np.asarray(self._plain[row])
-        return self.read_chunk(row // self.chunk[0])[row % self.chunk[0]]
+        if self.chunk[0] > 1:
+            return np.asarray(self._whole[row])
+        return self.read_chunk(row)[0]
 
     def rows(self, start: int, stop: int) -> np.ndarray:
         """Rows start..stop-1, stacked. Raises as `row` does."""
         if self.chunk is None:
             return np.asarray(self._plain[start:stop])
         if self.chunk[0] > 1:
-            return self.read_chunk(0)[start:stop]
+            return self._whole[start:stop]
+        if stop - start == 1:
+            return self.read_chunk(start)
         out = np.empty((stop - start, *self.shape[1:]), self.dtype)
         for k in range(start, stop):
             out[k - start] = self.read_chunk(k)[0]
@@ -129,8 +133,10 @@ class ShardedArray:
         offset, size = (int(value) for value in self.index[number])
         if offset == MISSING_CHUNK:
             return np.full(self.chunk, self._fill, self.dtype)
-        data = _verified(self._pread(offset, size), f"{self.file}: chunk {number}")
-        return _decode(data, self.dtype, self.chunk, f"{self.file}: chunk {number}")
+        try:
+            return _decode(_verified(self._pread(offset, size)), self.dtype, self.chunk)
+        except (RuntimeError, ValueError) as error:
+            raise DamagedDatasetError(f"{self.file}: chunk {number} {error}") from error
 
     @cached_property
     def index(self) -> UInt64[np.ndarray, "chunks 2"]:
@@ -142,8 +148,20 @@ class ShardedArray:
             raise DamagedDatasetError(f"{self.file} is missing") from error
         if total < size:
             raise DamagedDatasetError(f"{self.file} is too short for its shard index")
-        data = _verified(self._pread(total - size, size), f"{self.file}: shard index")
+        try:
+            data = _verified(self._pread(total - size, size))
+        except ValueError as error:
+            raise DamagedDatasetError(f"{self.file}: shard index {error}") from error
         return np.frombuffer(data, "<u8").reshape(-1, 2).astype(np.uint64)
+
+    @cached_property
+    def _whole(self) -> np.ndarray:
+        """All rows of an array of small numbers, which lie in one chunk."""
+        return self.read_chunk(0)
+
+    @cached_property
+    def _path(self) -> str:
+        return str(self.file)
 
     @cached_property
     def _plain(self) -> Any:
@@ -152,13 +170,13 @@ class ShardedArray:
         return zarr.open_array(self.folder, mode="r")
 
     @cached_property
-    def _fill(self) -> float:
+    def _fill(self) -> int | float:
         value = json.loads((self.folder / "zarr.json").read_bytes())["fill_value"]
         return float(value) if isinstance(value, str) else value
 
     def _pread(self, offset: int, size: int) -> bytes:
         try:
-            handle = os.open(self.file, os.O_RDONLY)
+            handle = os.open(self._path, os.O_RDONLY)
             try:
                 return os.pread(handle, size, offset)
             finally:
@@ -188,19 +206,16 @@ def _simple_chunk(meta: Mapping[str, Any], shape: tuple[int, ...]) -> tuple[int,
     return chunk if plain else None
 
 
-def _verified(data: bytes, where: str) -> bytes:
-    """The data without its trailing crc32c (little-endian), which must fit."""
+def _verified(data: bytes) -> bytes:
+    """The data without its trailing crc32c (little-endian); ValueError if it does not fit."""
     import google_crc32c
 
     if len(data) < 4 or google_crc32c.value(data[:-4]) != int.from_bytes(data[-4:], "little"):
-        raise DamagedDatasetError(f"{where} does not fit its crc32c")
+        raise ValueError("does not fit its crc32c")
     return data[:-4]
 
 
-def _decode(data: bytes, dtype: np.dtype, chunk: tuple[int, ...], where: str) -> np.ndarray:
+def _decode(data: bytes, dtype: np.dtype, chunk: tuple[int, ...]) -> np.ndarray:
     from numcodecs import blosc  # pyright: ignore[reportAttributeAccessIssue] (compiled)
 
-    try:
-        return np.frombuffer(blosc.decompress(data), dtype, count=prod(chunk)).reshape(chunk)
-    except (RuntimeError, ValueError) as error:
-        raise DamagedDatasetError(f"{where} cannot be decoded: {error}") from error
+    return np.frombuffer(blosc.decompress(data), dtype, count=prod(chunk)).reshape(chunk)

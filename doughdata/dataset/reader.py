@@ -53,6 +53,7 @@ class _Opened:
     plans: list[PlanRecord]
     log: CommitLog
     tables: dict[str, pa.Table] = field(default_factory=dict)
+    scenes: dict[int, Scene] = field(default_factory=dict)
     fresh: dict[str, dict[str, CommitRecord]] = field(default_factory=dict)
     shards: OrderedDict[tuple[str, str], LayerShard] = field(default_factory=OrderedDict)
 
@@ -145,9 +146,13 @@ class Dataset:
 
     def scene(self, scene_index: int) -> Scene:
         """What a scene was made from; tool meshes have paths on this machine."""
-        table = self.layer("sim", scene_index).table("scenes").scene(scene_index)
-        data = json.loads(table["parameters"][0].as_py())
-        return resolve_tools(self._store, scene_from_json(data, name=data["scene_id"]))
+        scenes = self._here.scenes
+        if scene_index not in scenes:
+            table = self.layer("sim", scene_index).table("scenes").scene(scene_index)
+            data = json.loads(table["parameters"][0].as_py())
+            scene = scene_from_json(data, name=data["scene_id"])
+            scenes[scene_index] = resolve_tools(self._store, scene)
+        return scenes[scene_index]
 
     def frame(self, *, scene: int, frame: int) -> Frame:
         """One key frame; its parts are read when they are asked for.

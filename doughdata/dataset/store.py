@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 from uuid import uuid4
 
 from doughschemas import DamagedDatasetError, DatasetError
@@ -26,6 +26,7 @@ HINTS = {
 }
 
 
+@runtime_checkable
 class Store(Protocol):
     """Files below one root; paths are relative and use `/`."""
 

@@ -6,9 +6,10 @@ import numpy as np
 from doughschemas import ComponentMesh, ComponentMeshes, FrameTopology
 from jaxtyping import Float32
 
+from doughdata.mesh.component import SolidConfig
 from doughdata.mesh.contour import contour
 from doughdata.mesh.labels import label_grid
-from doughdata.mesh.solid import SolidConfig, build_solid
+from doughdata.mesh.solid import build_solid
 
 __all__ = ["DualContouring", "DualContouringConfig"]
 

@@ -7,8 +7,9 @@ from doughschemas import NO_COMPONENT, ComponentMesh, ComponentMeshes, FrameTopo
 from jaxtyping import Float32, Float64, Int
 
 from doughdata.mesh.checks import mesh_area, mesh_volume
+from doughdata.mesh.component import SolidConfig
 from doughdata.mesh.labels import label_grid
-from doughdata.mesh.solid import Solid, SolidConfig, build_solid, shifted_field
+from doughdata.mesh.solid import Solid, build_solid, shifted_field
 from doughdata.registry import require_package
 
 __all__ = ["MarchingCubes", "MarchingCubesConfig"]

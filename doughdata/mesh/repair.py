@@ -10,7 +10,9 @@ import numpy as np
 from doughschemas import NO_COMPONENT
 from jaxtyping import Bool, Float32, Int, UInt8
 
-__all__ = ["CORNERS", "cell_codes", "make_well_composed", "separate"]
+from doughdata.registry import require_package
+
+__all__ = ["CORNERS", "cell_codes", "make_well_composed", "separate", "well_composed_genus"]
 
 # Corner c of a cell is at its low node + CORNERS[c]; bit c of a cell code is that corner's state.
 CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
@@ -146,3 +148,18 @@ def _flip_nodes(
     flat_labels[chosen] = np.where(was_inside, NO_COMPONENT, lowest[pick][first])
     flat_field[chosen] = np.where(was_inside, NEAR_ZERO, -NEAR_ZERO)
     return chosen
+
+
+def well_composed_genus(inside: Bool[np.ndarray, "nx ny nz"]) -> int:
+    """First Betti number of a well-composed set: handles, and those of its hollows.
+
+    Its contour has a vertex a crossed cell, a quad a crossed edge and twice as many edges, so its
+    Euler characteristic is cells - crossed edges; b1 is the sum of 1 - chi / 2 over its shells.
+    """
+    ndimage = require_package("scipy.ndimage", extra="sim")
+    codes = cell_codes(inside)
+    cells = np.count_nonzero((codes != 0) & (codes != 255))
+    rows = (np.moveaxis(inside, axis, 0) for axis in range(3))
+    edges = sum(np.count_nonzero(row[1:] != row[:-1]) for row in rows)
+    shells = ndimage.label(inside)[1] + ndimage.label(~inside)[1] - 1
+    return int(shells - (cells - edges) // 2)

@@ -6,26 +6,13 @@ import numpy as np
 from doughschemas import NO_COMPONENT, BadInputError, FrameTopology
 from jaxtyping import Float, Float32, Float64, Int, Int64, UInt8
 
-from doughdata.mesh.distance import closing_field, level_for_volume
-from doughdata.mesh.lumps import bridge_lumps, drop_lumps, fill_cavities, seed_missing
-from doughdata.mesh.repair import make_well_composed, separate
-from doughdata.mesh.walls import carve_gaps, cut_slits
+from doughdata.mesh.component import SolidConfig, component_field, tidy
+from doughdata.mesh.lumps import seed_missing
 
-__all__ = ["Solid", "SolidConfig", "build_solid", "shifted_field"]
+__all__ = ["Solid", "build_solid", "shifted_field"]
 
 MARGIN = 0.02  # [cells], a shifted field stays this far from zero, so that no node changes sides
 FAR = 1e3  # [cells], field where no component is near
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SolidConfig:
-    """How particles become a solid. Lengths are in particle spacings at rest."""
-
-    cells_per_spacing: float = 1.6  # cell size = spacing / this
-    closing_radius: float = 1.5  # gaps narrower than about twice this are closed
-    level_low: float = 0.3  # least distance of the surface from the outermost particles
-    level_high: float = 1.0  # greatest
-    lump_share: float = 0.02  # smaller lumps of a component, against its largest, are dropped
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,36 +50,20 @@ def build_solid(
     clouds = [np.asarray(positions[m], np.float64) / cell for m in members]
     pairs = [_pairs_within(topology.contacts, m, len(positions)) for m in members]
     used = np.concatenate([*clouds, np.zeros((0 if any(map(len, clouds)) else 1, 3))])
-    margin = _margin(config) + 2  # the repair looks two nodes further
+    margin = _margin(config)
     origin = np.floor(used.min(axis=0)).astype(np.int64) - margin
     shape = tuple((np.ceil(used.max(axis=0)).astype(np.int64) + margin - origin + 1).tolist())
     clouds = [cloud - origin for cloud in clouds]
-    field, labels = _combine(clouds, pairs, shape, config)
-    _tidy(field, labels, config)
+    field, labels = _combine(clouds, pairs, shape, topology.genus, config)
     seed_missing(field, labels, clouds)
     volumes = np.array([len(cloud) for cloud in clouds], float) * per**3
     return Solid(field=field, labels=labels, origin=origin, cell=cell, volumes=volumes)
 
 
 def _margin(config: SolidConfig) -> int:
-    """Nodes around the particles of a component that its closing needs."""
-    return int(np.ceil(config.closing_radius * config.cells_per_spacing)) + 2
-
-
-def _tidy(
-    field: Float32[np.ndarray, "nx ny nz"],
-    labels: UInt8[np.ndarray, "nx ny nz"],
-    config: SolidConfig,
-) -> None:
-    """Repair in place: apart, well-composed, joined where it should be, no splinters or hollows."""
-    separate(field, labels)
-    make_well_composed(field, labels)
-    reach = 2.0 * config.closing_radius * config.cells_per_spacing
-    if bridge_lumps(field, labels, share=config.lump_share, reach=reach):
-        separate(field, labels)
-        make_well_composed(field, labels)
-    drop_lumps(field, labels, share=config.lump_share)
-    fill_cavities(field, labels)
+    """Nodes around the particles of a component that its closings and the repair need."""
+    radius = max(config.closing_radius, *config.other_radii, 0.0)
+    return max(int(np.ceil(radius * config.cells_per_spacing)) + 2, 6)
 
 
 def _pairs_within(
@@ -120,6 +91,7 @@ def _combine(
     clouds: list[Float[np.ndarray, "_ 3"]],
     pairs: list[Int[np.ndarray, "_ 2"]],
     shape: tuple[int, ...],
+    genus: tuple[int, ...],
     config: SolidConfig,
 ) -> tuple[Float32[np.ndarray, "nx ny nz"], UInt8[np.ndarray, "nx ny nz"]]:
     """Field and labels of all components; where two are near, the surface is halfway."""
@@ -132,38 +104,18 @@ def _combine(
             continue
         low = np.floor(cloud.min(axis=0)).astype(int) - margin
         high = np.ceil(cloud.max(axis=0)).astype(int) + margin + 1
+        size = (int(high[0] - low[0]), int(high[1] - low[1]), int(high[2] - low[2]))
+        field = component_field(cloud - low, pairs[label], size, genus=genus[label], config=config)
         box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-        field = _component_field(cloud - low, pairs[label], config)
         wins = field < best[box]
         second[box] = np.minimum(np.where(wins, best[box], field), second[box])
         best[box] = np.where(wins, field, best[box])
         labels[box][wins] = label
     field = np.maximum(best, 0.5 * (best - second))
     labels[field >= 0.0] = NO_COMPONENT
-    small = np.abs(field) < 1e-3  # a crossing exactly on a node would make empty triangles
-    field[small] = np.where(labels[small] == NO_COMPONENT, 1e-3, -1e-3)
+    if np.count_nonzero([len(cloud) for cloud in clouds]) > 1:
+        tidy(field, labels, config)
     return field, labels
-
-
-def _component_field(
-    cloud: Float[np.ndarray, "members 3"],
-    pairs: Int[np.ndarray, "pairs 2"],
-    config: SolidConfig,
-) -> Float32[np.ndarray, "nx ny nz"]:
-    """Closing of one cloud, its zero level set where the volume fits the particle count."""
-    per = config.cells_per_spacing
-    high = np.ceil(cloud.max(axis=0)).astype(int) + _margin(config) + 1
-    shape = (int(high[0]), int(high[1]), int(high[2]))
-    field = closing_field(cloud, shape, radius=config.closing_radius * per, level=0.5 * per)
-    if len(pairs):
-        carve_gaps(field, cloud, pairs, level=0.5 * per)
-    level = level_for_volume(
-        field, len(cloud) * per**3, low=config.level_low * per, high=config.level_high * per
-    )
-    field -= np.float32(level)
-    if len(pairs):
-        cut_slits(field, cloud, pairs)
-    return field
 
 
 def shifted_field(

@@ -11,9 +11,31 @@ from jaxtyping import Float, Float32, Int
 
 from doughdata.registry import require_package
 
-__all__ = ["carve_gaps", "cut_slits"]
+__all__ = ["carve_gaps", "cut_slits", "seams_of"]
 
+SEAMS = 4  # largest seams of a component; the smaller ones are left as the closing has them
 BAND = 2.0  # [cells], how far around a carved ball the field is a distance
+
+
+def seams_of(
+    cloud: Float[np.ndarray, "members 3"], pairs: Int[np.ndarray, "pairs 2"], *, reach: float
+) -> list[Int[np.ndarray, "_ 2"]]:
+    """Unmerged pairs in groups whose particles are linked by steps up to `reach`, largest first."""
+    if not len(pairs):
+        return []
+    spatial = require_package("scipy.spatial", extra="sim")
+    sparse = require_package("scipy.sparse", extra="sim")
+    csgraph = require_package("scipy.sparse.csgraph", extra="sim")
+    touching, ends = np.unique(pairs, return_inverse=True)
+    ends = ends.reshape(-1, 2)
+    near = spatial.cKDTree(cloud[touching]).query_pairs(reach, output_type="ndarray")
+    links = np.concatenate([ends, near])
+    ones = np.ones(len(links), np.int8)
+    graph = sparse.coo_matrix((ones, (links[:, 0], links[:, 1])), (len(touching),) * 2)
+    _, group = csgraph.connected_components(graph, directed=False)
+    seam = group[ends[:, 0]]
+    order = np.argsort(-np.bincount(seam), kind="stable")
+    return [pairs[seam == number] for number in order[:SEAMS] if (seam == number).any()]
 
 
 def carve_gaps(

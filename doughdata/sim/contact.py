@@ -31,6 +31,7 @@ class Grid:
 
     origin: Vec3  # [m]
     dx: ti.f32  # [m]
+    inverse: ti.f32  # [1/m], 1 / dx
     shape: Int3
     table: ti.i32  # index k of the layer of nodes at z = 0; -1 without a table
 

@@ -64,7 +64,7 @@ class Dough:
 @ti.func
 def weights(point, grid: ti.template()):
     """First of the three nodes an axis, position relative to it [cells], B-spline weights."""
-    u = (point - grid.origin) / grid.dx
+    u = (point - grid.origin) * grid.inverse
     base = ti.cast(u - 0.5, ti.i32)
     f = u - ti.cast(base, ti.f32)
     w0 = 0.5 * (1.5 - f) * (1.5 - f)
@@ -78,7 +78,7 @@ def region_of(x: ti.template(), grid: ti.template(), status: ti.template()):
     """Nodes that particles can reach within the next substeps: first and one past the last."""
     low, high = Int3(1 << 30), Int3(-(1 << 30))
     for i in range(x.shape[0]):
-        base = ti.cast(ti.floor((x[i] - grid.origin) / grid.dx - 0.5), ti.i32)
+        base = ti.cast(ti.floor((x[i] - grid.origin) * grid.inverse - 0.5), ti.i32)
         low = ti.min(low, base)
         high = ti.max(high, base)
     low = low - MARGIN
@@ -144,28 +144,32 @@ def particle_to_grid(
     new_b, tau = hencky_return(trial, dough.shear, dough.bulk, dough.yield_strain, largest[i])
     b[i] = new_b
     base, f, w0, w1, w2 = weights(x[i], grid)
-    k = -4.0 * dt * dough.volume / grid.dx
+    k = -4.0 * dt * dough.volume * grid.inverse
     m = dough.mass
     affine = (
         k * Mat3(tau[0], tau[3], tau[5], tau[3], tau[1], tau[4], tau[5], tau[4], tau[2])
         + (m * grid.dx) * C[i]
     )
-    corner = m * v[i] - affine @ f
-    ax = Vec4(affine[0, 0], affine[1, 0], affine[2, 0], 0.0)
-    ay = Vec4(affine[0, 1], affine[1, 1], affine[2, 1], 0.0)
-    az = Vec4(affine[0, 2], affine[1, 2], affine[2, 2], 0.0)
-    start = Vec4(corner[0], corner[1], corner[2], m)
-    wx, wy, wz = ti.static([w0, w1, w2], [w0, w1, w2], [w0, w1, w2])
+    ax = Vec3(affine[0, 0], affine[1, 0], affine[2, 0])
+    ay = Vec3(affine[0, 1], affine[1, 1], affine[2, 1])
+    az = Vec3(affine[0, 2], affine[1, 2], affine[2, 2])
     ny, nz = grid.shape[1], grid.shape[2]
     first = (base[0] * ny + base[1]) * nz + base[2]
+    # Momentum is affine in the node's place: each node is its neighbour's plus a constant.
+    momentum_x = m * v[i] - affine @ f
     for p in ti.static(range(3)):
+        wx = ti.static([w0, w1, w2])[p][0]
+        momentum_y = momentum_x + ti.static(float(p)) * ax if ti.static(p > 0) else momentum_x
         for q in ti.static(range(3)):
+            w = wx * ti.static([w0, w1, w2])[q][1]
+            g0 = momentum_y + ti.static(float(q)) * ay if ti.static(q > 0) else momentum_y
+            g1 = g0 + az
+            g2 = g1 + az
             at = first + (p * ny + q) * nz
-            w = wx[p][0] * wy[q][1]
-            column = start + ti.static(float(p)) * ax + ti.static(float(q)) * ay
-            nodes[at] = nodes[at] + (w * wz[0][2]) * column
-            nodes[at + 1] = nodes[at + 1] + (w * wz[1][2]) * (column + az)
-            nodes[at + 2] = nodes[at + 2] + (w * wz[2][2]) * (column + 2.0 * az)
+            u0, u1, u2 = w * w0[2], w * w1[2], w * w2[2]
+            nodes[at] = nodes[at] + u0 * Vec4(g0[0], g0[1], g0[2], m)
+            nodes[at + 1] = nodes[at + 1] + u1 * Vec4(g1[0], g1[1], g1[2], m)
+            nodes[at + 2] = nodes[at + 2] + u2 * Vec4(g2[0], g2[1], g2[2], m)
 
 
 @ti.func
@@ -184,7 +188,8 @@ def move_node(
     """Momentum -> velocity, then gravity, fingers and table."""
     node = nodes[at]
     if node[3] > 0.0:
-        u = Vec3(node[0], node[1], node[2]) / node[3] - Vec3(0.0, 0.0, dough.gravity * dt)
+        u = (1.0 / node[3]) * Vec3(node[0], node[1], node[2])
+        u[2] = u[2] - dough.gravity * dt
         if fingers:
             for finger in range(2):
                 c = colliders[finger * total + at]
@@ -226,7 +231,7 @@ def grid_to_particle(
     wx, wy, wz = ti.static([w0, w1, w2], [w0, w1, w2], [w0, w1, w2])
     ny, nz = grid.shape[1], grid.shape[2]
     first = (base[0] * ny + base[1]) * nz + base[2]
-    sums, sx, sy, sz = Vec4(0.0), Vec4(0.0), Vec4(0.0), Vec4(0.0)
+    sums, sx, sy, sz = Vec4(0.0), Vec3(0.0), Vec3(0.0), Vec3(0.0)
     room = 1.0
     if fingers:
         room = 0.0
@@ -235,27 +240,32 @@ def grid_to_particle(
                 at = grid.shape[0] * ny * nz + first + (p * ny + q) * nz
                 column = wz[0][2] * free[at] + wz[1][2] * free[at + 1] + wz[2][2] * free[at + 2]
                 room = room + (wx[p][0] * wy[q][1]) * column
+    # First moments of the nodes' velocity, one axis after the other.
     for p in ti.static(range(3)):
+        plane, plane_y, plane_z = Vec4(0.0), Vec3(0.0), Vec3(0.0)
         for q in ti.static(range(3)):
             at = first + (p * ny + q) * nz
-            w = wx[p][0] * wy[q][1]
-            one, two = wz[1][2] * nodes[at + 1], wz[2][2] * nodes[at + 2]
-            column = w * (wz[0][2] * nodes[at] + one + two)
-            sums = sums + column
-            sz = sz + w * (one + 2.0 * two)
-            if ti.static(p > 0):
-                sx = sx + ti.static(float(p)) * column
+            n0, n1, n2 = nodes[at], nodes[at + 1], nodes[at + 2]
+            line = wy[q][1] * (wz[0][2] * n0 + wz[1][2] * n1 + wz[2][2] * n2)
+            line_z = (wy[q][1] * wz[1][2]) * n1 + (2.0 * wy[q][1] * wz[2][2]) * n2
+            plane = plane + line
+            plane_z = plane_z + Vec3(line_z[0], line_z[1], line_z[2])
             if ti.static(q > 0):
-                sy = sy + ti.static(float(q)) * column
+                plane_y = plane_y + ti.static(float(q)) * Vec3(line[0], line[1], line[2])
+        sums = sums + wx[p][0] * plane
+        sy = sy + wx[p][0] * plane_y
+        sz = sz + wx[p][0] * plane_z
+        if ti.static(p > 0):
+            sx = sx + (ti.static(float(p)) * wx[p][0]) * Vec3(plane[0], plane[1], plane[2])
     u = Vec3(sums[0], sums[1], sums[2])
     gradient = Mat3(0.0)
     for d in ti.static(range(3)):
-        gradient[d, 0] = (4.0 / grid.dx) * (sx[d] - sums[d] * f[0])
-        gradient[d, 1] = (4.0 / grid.dx) * (sy[d] - sums[d] * f[1])
-        gradient[d, 2] = (4.0 / grid.dx) * (sz[d] - sums[d] * f[2])
+        gradient[d, 0] = (4.0 * grid.inverse) * (sx[d] - sums[d] * f[0])
+        gradient[d, 1] = (4.0 * grid.inverse) * (sy[d] - sums[d] * f[1])
+        gradient[d, 2] = (4.0 * grid.inverse) * (sz[d] - sums[d] * f[2])
     # Material squeezed closer than its own volume says must not believe that it is stretched.
-    density = sums[3] / (ti.max(room, LEAST_FREE) * grid.dx * grid.dx * grid.dx)
-    largest[i] = ti.max(LEAST_VOLUME, dough.density_cap * dough.mass / (dough.volume * density))
+    reference = (dough.density_cap * dough.mass / dough.volume) * grid.dx * grid.dx * grid.dx
+    largest[i] = ti.max(LEAST_VOLUME, reference * ti.max(room, LEAST_FREE) / sums[3])
     if handles[i] > 0:
         u = ti.select(handles[i] == 2, 1.0, -1.0) * dough.pull
     move = dt * u

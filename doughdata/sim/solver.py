@@ -154,6 +154,7 @@ def _grid(physics: Physics, middle: tuple[float, float] | None) -> Any:
     return contact.Grid(
         origin=Vec3(*(anchor + first * dx)),
         dx=dx,
+        inverse=1.0 / dx,
         shape=contact.Int3(*shape),
         table=table,
     )

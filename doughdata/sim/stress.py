@@ -96,14 +96,14 @@ def sym_rebuild(values, q):
 
 @ti.func
 def sym_log(s):
-    """Deviator of log(S) and log(det S) of a packed positive matrix S.
+    """Deviator of log(S) and det S of a packed positive matrix S.
 
     S = m (I + Y) with m = tr(S)/3, so tr Y = 0 and Y^3 = p Y + q I, p = tr(Y^2)/2, q = det Y.
     """
     m = (s[0] + s[1] + s[2]) / 3.0
-    y = s / m - Sym(1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
+    y = (1.0 / m) * s - Sym(1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
     deviator = Sym(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    log_det = 0.0
+    det = 1.0
     if m > SMALLEST and sym_norm2(y) < SERIES_LOG:
         y2 = sym_square(y)
         p = 0.5 * (y2[0] + y2[1] + y2[2])
@@ -119,13 +119,14 @@ def sym_log(s):
             f2 = f2 + ti.static((1.0 if k % 2 else -1.0) / k) * power[2]
         mean = f2 * p * (2.0 / 3.0)
         deviator = f1 * y + f2 * y2 - Sym(mean, mean, mean, 0.0, 0.0, 0.0)
-        log_det = 3.0 * ti.log(m) + ti.log(1.0 - p + q)
+        det = m * m * m * (1.0 - p + q)
     else:
         values, axes = sym_eigen(s)
-        logs = ti.log(ti.max(values, SMALLEST))
-        log_det = logs[0] + logs[1] + logs[2]
-        deviator = sym_rebuild(logs - log_det / 3.0, axes)
-    return deviator, log_det
+        kept = ti.max(values, SMALLEST)
+        logs = ti.log(kept)
+        det = kept[0] * kept[1] * kept[2]
+        deviator = sym_rebuild(logs - (logs[0] + logs[1] + logs[2]) / 3.0, axes)
+    return deviator, det
 
 
 @ti.func
@@ -162,15 +163,18 @@ def hencky_return(trial, shear, bulk, yield_strain, largest_volume):
     `yield_strain` = sqrt(2/3) sigma_y / (2 mu) (von Mises), which leaves det b as it is. J =
     sqrt(det b) is limited to `largest_volume`, and b is scaled to match.
     """
-    doubled, log_det = sym_log(trial)
+    doubled, det = sym_log(trial)
     strain = 0.5 * doubled
     size2 = sym_norm2(strain)
-    capped = ti.min(log_det, 2.0 * ti.log(largest_volume))
+    limit = largest_volume * largest_volume
+    b = trial
+    if det > limit:
+        b = ti.exp(ti.log(limit / det) / 3.0) * trial
+    log_det = ti.log(ti.min(det, limit))
     shrink = 1.0
-    b = trial * ti.exp((capped - log_det) / 3.0)
     if size2 > yield_strain * yield_strain:
         shrink = yield_strain / ti.sqrt(size2)
-        b = ti.exp(capped / 3.0) * sym_exp_deviator((2.0 * shrink) * strain)
-    pressure = 0.5 * bulk * capped
+        b = ti.exp(log_det / 3.0) * sym_exp_deviator((2.0 * shrink) * strain)
+    pressure = 0.5 * bulk * log_det
     tau = (2.0 * shear * shrink) * strain + Sym(pressure, pressure, pressure, 0.0, 0.0, 0.0)
     return b, tau

@@ -48,22 +48,21 @@ class BondGraph:
         self.count = len(positions)
         self.near = near_keys(positions, reach * spacing)
         pairs = decode(self.near, self.count)
+        self.lengths = lengths(positions, pairs)  # [m], of the near pairs
         same = object_ids[pairs[:, 0]] == object_ids[pairs[:, 1]]
-        short = lengths(positions, pairs) < start * spacing
+        short = self.lengths < start * spacing
         body = connected(pairs[same & short], self.count)
         self.contacts = self.near[body[pairs[:, 0]] != body[pairs[:, 1]]]
         self.cuts: list[UInt8[np.ndarray, " particles"]] = []  # side 1 or 2 of each cut
         self.crossed = np.zeros(0, np.int64)  # pairs with a finger between them
 
-    @property
-    def bonds(self) -> Int64[np.ndarray, " bonds"]:
-        """Keys of the bonded pairs."""
-        return without(self.near, self.contacts)
+    def bonded_keys(self, longest: float) -> Int64[np.ndarray, " bonds"]:
+        """Keys of the bonded pairs shorter than `longest` spacings."""
+        return without(self.near[self.lengths < longest * self.spacing], self.contacts)
 
     def bonded_pairs(self, longest: float) -> Int64[np.ndarray, "bonds 2"]:
         """Bonded pairs shorter than `longest` spacings."""
-        pairs = decode(self.bonds, self.count)
-        return pairs[lengths(self.positions, pairs) < longest * self.spacing]
+        return decode(self.bonded_keys(longest), self.count)
 
     def pieces(self) -> Int32[np.ndarray, " particles"]:
         """Piece of each particle: what short bonds hold together."""
@@ -75,6 +74,7 @@ class BondGraph:
         known = is_member(near, self.near)
         contact = is_member(near, self.contacts)
         self.positions, self.near = positions, near
+        self.lengths = lengths(positions, decode(near, self.count))
         bonded = near[known & ~contact]
         pending = near[~known | contact]
         limit = np.where(known[~known | contact], self.support_old, self.support_new)

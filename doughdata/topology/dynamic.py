@@ -23,6 +23,8 @@ from doughdata.topology.tracking import (
 
 __all__ = ["DynamicCheck", "DynamicConfig"]
 
+UNSURE = 0.35  # of the threshold; a decision nearer to it than this is unsure
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DynamicConfig:
@@ -46,8 +48,8 @@ class DynamicConfig:
     pull_distance: float = 0.004  # [m], each side
     pull_speed: float = 0.25  # [m/s], each side
     path_radius: float = 2.25  # steps of a path between the driven ends
-    merged_paths: int = 5  # at least so many disjoint paths: one piece
-    split_paths: int = 3  # fewer: parted
+    merged_paths: float = 5.0  # at least so many disjoint paths: one piece
+    split_paths: float = 5.0  # fewer, in units of resting dough: parted
     neck_gate: float = 0.6  # of the thickness beside it, below which a neck is tested
     same_place: float = 0.004  # [m], between two tests of one patch
     grown: float = 1.3  # a patch is tested again when it has grown by this factor
@@ -130,13 +132,23 @@ def _frame(
         genus=tuple(shape.genus for shape in shapes),
         graph=scene_graph(np.asarray(x, dtype=np.float64), labels, shapes),
         contacts=state.contacts.astype(np.int32),
-        ambiguous_reason="" if all(s.sure for s in shapes) else "the graph is unsure",
+        ambiguous_reason=_doubt(shapes, state),
     )
 
 
-def _events(
-    frames: Sequence[FrameTopology], states: Sequence[FrameState]
-) -> list[TopologyEvent]:
+def _doubt(shapes: Sequence[Shape], state: FrameState) -> str:
+    """Why a key frame is unsure; empty if it is not."""
+    reasons = []
+    if not all(shape.sure for shape in shapes):
+        reasons.append("the genus depends on the closing radius, flickers or misses the graph")
+    near = [d for d in state.decisions if d.margin < UNSURE]
+    if near:
+        worst = min(near, key=lambda d: d.margin)
+        reasons.append(f"a {worst.kind} test left {worst.paths:.1f} paths, near the threshold")
+    return "; ".join(reasons)
+
+
+def _events(frames: Sequence[FrameTopology], states: Sequence[FrameState]) -> list[TopologyEvent]:
     events = []
     for frame in range(1, len(frames)):
         before, after = frames[frame - 1], frames[frame]
@@ -144,7 +156,5 @@ def _events(
         margins: dict[str, float] = {}
         for decision in recent:
             margins[decision.kind] = min(decision.margin, margins.get(decision.kind, np.inf))
-        events += find_events(
-            frame, before, after, cut="split" in margins, margins=margins
-        )
+        events += find_events(frame, before, after, cut="split" in margins, margins=margins)
     return events

@@ -131,11 +131,14 @@ class _Track:
         edges = [0, *(k for k in range(1, len(genus)) if genus[k] != genus[k - 1]), len(genus)]
         settled = list(genus)
         for low, high in zip(edges[:-1], edges[1:], strict=True):
-            if high - low < FLICKER and len(edges) > 2:
+            # The last key frames of the scene have no later ones to judge them.
+            ends = high == len(genus) and self.last == len(self.positions) - 1
+            if high - low < FLICKER and len(edges) > 2 and ends:
                 sure[low:high] = [False] * (high - low)
-                if high < len(genus):  # the last key frames have no later ones to judge them
-                    value = settled[low - 1] if low else genus[high]
-                    settled[low:high] = [value] * (high - low)
+            elif high - low < FLICKER and len(edges) > 2:
+                sure[low:high] = [False] * (high - low)
+                value = settled[low - 1] if low else genus[high]
+                settled[low:high] = [value] * (high - low)
         return settled, sure
 
     def _shapes(self, genus: list[int], sure: list[bool]) -> list[Shape]:

@@ -1,6 +1,6 @@
 """The causal pass: carry the bond graph through the key frames and decide merges and splits."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,11 +10,10 @@ from scipy.spatial import cKDTree
 
 from doughdata.stages import PullApart
 from doughdata.topology.bonds import BondGraph
-
 from doughdata.topology.crops import SIDE_BOND
 from doughdata.topology.fingers import Gripper, gripper_at
 from doughdata.topology.merges import Patch, merge_patches
-from doughdata.topology.pairs import connected, decode, encode, lengths
+from doughdata.topology.pairs import connected, decode, encode
 from doughdata.topology.pulls import PullTest, disjoint_paths, make_test, run_tests
 from doughdata.topology.splits import Neck, split_necks
 
@@ -22,6 +21,9 @@ if TYPE_CHECKING:
     from doughdata.topology.dynamic import DynamicConfig
 
 __all__ = ["Decision", "FrameState", "History"]
+
+
+STILL = 0.02  # [spacings]; in a key frame that moved less nothing can have changed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +34,7 @@ class Decision:
     centre: Float64[np.ndarray, " 3"]  # [m]
     size: int  # contact pairs of a patch, particles of a neck
     gap: float  # [spacings] of a patch, opening in spacings of a neck
-    paths: int
+    paths: float  # disjoint paths left; of a neck, in units of resting dough
     passed: bool
     margin: float  # distance of `paths` from the threshold, in units of the threshold
 
@@ -59,6 +61,7 @@ class History:
     decisions: list[Decision] = field(default_factory=list)  # of the present key frame
     standing: list[Decision] = field(default_factory=list)  # last answers, by place
     action: int = 0
+    last: FrameState | None = None
 
     @classmethod
     def start(
@@ -80,24 +83,52 @@ class History:
     def step(self, frame: int) -> FrameState:
         """Advance to a key frame and decide."""
         poses = self.particles.tool_poses
+        started = False
         if int(poses.action[frame]) != self.action:
             self.action = int(poses.action[frame])
-            self.graph.start_action()
             self.standing = []
+            started = True
         self.decisions = []
         x = np.asarray(self.particles.positions[frame], dtype=np.float64)
+        if self.last is not None and not started and self._still(x):
+            return replace(self.last, decisions=())
         if frame > 0:
             self.graph.advance(x)
+        if started:
+            self._start_action()
         gripper = gripper_at(self.scene, poses, frame)
         self._cross(gripper)
         self._split(gripper)
         self._merge()
-        return self._state()
+        self.last = self._state()
+        return self.last
+
+    def _still(self, x: Float64[np.ndarray, "particles 3"]) -> bool:
+        """Whether nothing has moved since the graph was last advanced."""
+        moved = float(np.abs(x - self.graph.positions).max())
+        return moved < STILL * self.graph.spacing
+
+    def _start_action(self) -> None:
+        """Unlock what was cut. It stays apart until it is pressed closer than it lies now."""
+        self.graph.start_action()
+        for patch in self._patches():
+            self._note(*_patch_key(patch), 0.0, False, self.config.merged_paths)
+
+    def _patches(self) -> list[Patch]:
+        config = self.config
+        return merge_patches(
+            self.graph,
+            gap=config.patch_gap,
+            link=config.patch_link,
+            length=config.patch_length,
+            radius=config.crop,
+            seam_gap=config.seam_gap,
+        )
 
     def _cross(self, gripper: Gripper) -> None:
         """Break bonds through a finger: a rigid body is between their ends."""
         graph, s = self.graph, self.graph.spacing
-        close = (gripper.distances(graph.positions) < graph.reach * s / 2).any(axis=0)
+        close = gripper.near(graph.positions, graph.reach * s / 2)
         if not close.any():
             return
         keys = graph.near[close[graph.near // graph.count] & close[graph.near % graph.count]]
@@ -112,11 +143,12 @@ class History:
         asked = [neck for neck in necks if not self._settled(*_neck_key(neck, graph.spacing))]
         tests = [self._neck_test(neck, gripper) for neck in asked]
         for neck, test, pulled in zip(asked, tests, run_tests(tests, self.puller), strict=True):
-            paths = self._paths(pulled, test)
+            # Particles piled up in a narrow gap are more paths than the dough there is worth.
+            paths = self._paths(pulled, test) / neck.compression
             parted = paths < config.split_paths
             self._note(*_neck_key(neck, graph.spacing), paths, parted, config.split_paths)
             if parted:
-                graph.cut(self._cut_sides(pulled, test, paths))
+                graph.cut(self._cut_sides(pulled, test))
 
     def _neck_test(self, neck: Neck, gripper: Gripper) -> PullTest:
         return make_test(
@@ -143,7 +175,7 @@ class History:
         return disjoint_paths(positions, test.first, test.second, radius)
 
     def _cut_sides(
-        self, pulled: Float64[np.ndarray, "crop 3"], test: PullTest, paths: int
+        self, pulled: Float64[np.ndarray, "crop 3"], test: PullTest
     ) -> UInt8[np.ndarray, " particles"]:
         """Side 1 or 2 of every particle of the crop: the end that it stays with."""
         near = cKDTree(pulled)
@@ -151,7 +183,7 @@ class History:
         while True:
             piece = connected(near.query_pairs(radius, output_type="ndarray"), len(pulled))
             held = [np.isin(piece, piece[end]) for end in (test.first, test.second)]
-            if not (held[0] & held[1]).any() or paths == 0:
+            if not (held[0] & held[1]).any():
                 break
             radius *= 0.9
         own = held[0] + 2 * held[1]
@@ -165,16 +197,8 @@ class History:
 
     def _merge(self) -> None:
         config, graph = self.config, self.graph
-        patches = merge_patches(
-            graph,
-            gap=config.patch_gap,
-            link=config.patch_link,
-            length=config.patch_length,
-            radius=config.crop,
-            seam_gap=config.seam_gap,
-        )
         asked, tests = [], []
-        for patch in patches:
+        for patch in self._patches():
             if self._settled(*_patch_key(patch)):
                 continue
             test = self._patch_test(patch)
@@ -202,9 +226,7 @@ class History:
             **self._pull_settings(),
         )
 
-    def _settled(
-        self, kind: str, centre: Float64[np.ndarray, " 3"], size: int, gap: float
-    ) -> bool:
+    def _settled(self, kind: str, centre: Float64[np.ndarray, " 3"], size: int, gap: float) -> bool:
         """Whether the same place was asked before and has hardly changed since."""
         for known in self.standing:
             if known.kind != kind or np.linalg.norm(known.centre - centre) > self.config.same_place:
@@ -221,11 +243,11 @@ class History:
         centre: Float64[np.ndarray, " 3"],
         size: int,
         gap: float,
-        paths: int,
+        paths: float,
         passed: bool,
-        threshold: int,
+        threshold: float,
     ) -> None:
-        margin = abs(paths - (threshold - 0.5)) / threshold
+        margin = abs(paths - threshold) / threshold
         made = Decision(
             kind=kind,
             centre=centre,
@@ -238,9 +260,7 @@ class History:
         self.decisions.append(made)
         far = self.config.same_place
         self.standing = [
-            d
-            for d in self.standing
-            if d.kind != kind or np.linalg.norm(d.centre - centre) > far
+            d for d in self.standing if d.kind != kind or np.linalg.norm(d.centre - centre) > far
         ]
         if not passed:
             self.standing.append(made)
@@ -249,13 +269,11 @@ class History:
         graph = self.graph
         pieces = graph.pieces()
         contacts = decode(graph.contacts, graph.count)
-        published = graph.bonds
-        short = lengths(graph.positions, decode(published, graph.count))
         return FrameState(
             pieces=pieces,
             contacts=contacts,
             decisions=tuple(self.decisions),
-            bonds=published[short < SIDE_BOND * graph.spacing],
+            bonds=graph.bonded_keys(SIDE_BOND),
         )
 
 

@@ -51,9 +51,7 @@ def cycle_rank(nodes: int, edges: Int32[np.ndarray, "edges 2"]) -> int:
     return len(edges) - nodes + int(connected_components(graph, directed=False)[0])
 
 
-def skeleton_of(
-    solid: Solid, *, length: float = NODE_LENGTH, spur: float = SPUR
-) -> Skeleton:
+def skeleton_of(solid: Solid, *, length: float = NODE_LENGTH, spur: float = SPUR) -> Skeleton:
     """Thin a solid to a graph with a node about every `length` [m].
 
     Branches that end within `spur` [m] are dropped. Thinning (Lee, Kashyap and Chu 1994, in
@@ -72,7 +70,9 @@ def skeleton_of(
     return Skeleton(positions=solid.origin + points * solid.size, edges=edges)
 
 
-def _trace(thin: Int64[np.ndarray, "voxels 3"]) -> tuple[Float64[np.ndarray, "nodes 3"], list[_Arc]]:
+def _trace(
+    thin: Int64[np.ndarray, "voxels 3"],
+) -> tuple[Float64[np.ndarray, "nodes 3"], list[_Arc]]:
     """Nodes (clusters of branching voxels, ends, one on each bare loop) and the arcs between."""
     count = len(thin)
     pairs = cKDTree(thin).query_pairs(NEIGHBOUR, output_type="ndarray")

@@ -41,10 +41,12 @@ def split_necks(graph: BondGraph, gripper: Gripper, *, radius: float, gate: floa
         return []
     bonds = graph.bonded_pairs(SIDE_BOND)
     piece = sides(graph, bonds, region)
+    sizes = np.bincount(piece[region], minlength=graph.count)
+    loose = region[sizes[piece[region]] < SMALLEST_SIDE]  # scraps that would bridge the neck
     necks = []
-    for number in np.unique(piece[region]):
+    for number in np.flatnonzero(sizes):
         core = region[piece[region] == number]
-        neck = _neck(graph, bonds, gripper, core, opening, radius)
+        neck = _neck(graph, bonds, gripper, core, np.union1d(core, loose), opening, radius)
         if neck is not None and opening < gate * _thickness(x, gripper, neck):
             necks.append(neck)
     return sorted(necks, key=lambda neck: tuple(neck.centre))
@@ -79,17 +81,18 @@ def _neck(
     bonds: Int64[np.ndarray, "bonds 2"],
     gripper: Gripper,
     core: Int64[np.ndarray, " core"],
+    removed: Int64[np.ndarray, " removed"],
     opening: float,
     radius: float,
 ) -> Neck | None:
-    """The neck of one cluster if dough lies on both its sides and is not joined around it."""
+    """The neck of one cluster if dough lies on both its sides, apart once `removed` is gone."""
     x = graph.positions
     across = x @ gripper.lateral
     middle = across[core].mean()
     beside = _bonded_to(bonds, core, graph.count)
     while radius >= SMALLEST_CROP:
         around = crop(x, core, radius)
-        piece = sides(graph, bonds, around, leave_out=core)
+        piece = sides(graph, bonds, around, leave_out=removed)
         rest = around[piece[around] >= 0]
         first, second = [], []
         for number in np.unique(piece[rest]):

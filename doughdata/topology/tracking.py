@@ -8,9 +8,14 @@ from jaxtyping import Float64, Int32, UInt8
 
 from doughdata.topology.pairs import connected
 
-__all__ = ["components_of", "count_labels",
+__all__ = [
+    "components_of",
+    "count_labels",
     "crumb_limit",
-    "find_events", "first_labels", "next_labels"]
+    "find_events",
+    "first_labels",
+    "next_labels",
+]
 
 MOST_COMPONENTS = 250  # labels are bytes, the highest are reserved
 SHARED = 0.1  # of the smaller component, that two of different key frames share to be related
@@ -72,7 +77,8 @@ def next_labels(
             heirs[best] = old
     kept = {old: row for row, old in enumerate(heirs) if old is not None}
     fresh = sorted(
-        (row for row, old in enumerate(heirs) if old is None), key=lambda k: (-len(parts[k]), middle[k])
+        (row for row, old in enumerate(heirs) if old is None),
+        key=lambda k: (-len(parts[k]), middle[k]),
     )
     free = [k for k in range(len(parts)) if k not in kept]
     high = sorted((old for old in kept if old >= len(parts)), reverse=True)

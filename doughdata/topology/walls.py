@@ -1,25 +1,23 @@
 """Walls: where a closing would bridge two surfaces that are no one piece.
 
 A closing fills narrow gaps. Where the particles on both sides of a filled gap, or of a contact, are
-bonded to each other nearby, that is right: a fold, the rim of a seam, a thin place. Where they
-are not, the gap is real and the solid has to stay open.
+bonded to each other over a few steps, that is right: a fold, the rim of a seam, a thin place. Where
+they are not, the gap is real and the solid has to stay open.
 """
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32, Int64
+from jaxtyping import Bool, Float64, Int64
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
-from doughdata.topology.crops import cells_along, chunks
-from doughdata.topology.pairs import connected
+from doughdata.topology.pairs import adjacency, connected
 
 __all__ = ["find_walls"]
 
-LOCAL = 0.004  # [m]; sides that join within this of a gap are one
-CHUNK = 0.006  # [m], length of a gap that is judged at once
-LINK = 2.2  # [spacings], contact particles this near are one patch
+HOPS = 3  # bonds between two particles of one piece, at most, across a gap that may be filled
 REACH = 2.2  # [spacings], from a filled gap to the particles beside it
-FEWEST = 6  # particles of a side, voxels of a gap; fewer are noise
+FEWEST_VOXELS = 6  # of a gap that is looked at
+FEWEST_PAIRS = 12  # of a wall; fewer are noise
 
 
 def find_walls(
@@ -38,83 +36,57 @@ def find_walls(
     voxels (edge `voxel` [m]) that only the closing has filled, `widest` [m] the widest gap that it
     fills.
     """
-    tree = cKDTree(positions)
-    cores = [
-        np.unique(contacts[rows])
-        for rows in chunks(
-            positions, contacts, longest=np.inf, link=LINK * spacing, length=CHUNK
-        )
-    ]
-    for lump in _lumps(gaps, voxel):
-        near = tree.query_ball_point(lump, REACH * spacing)
-        cores.append(np.unique(np.concatenate([np.asarray(n, dtype=np.int64) for n in near])))
-    found = [np.zeros((0, 2), np.int64)]
-    for core in cores:
-        if len(core) >= 2 * FEWEST:
-            found += _facing(positions, bonds, tree, core, widest)
-    return np.unique(np.concatenate(found), axis=0)
+    core = np.zeros(len(positions), dtype=bool)
+    core[contacts.ravel()] = True
+    core[_beside(positions, _lumps(gaps, voxel), REACH * spacing)] = True
+    chosen = np.flatnonzero(core)
+    if len(chosen) < 2:
+        return np.zeros((0, 2), np.int64)
+    pairs = cKDTree(positions[chosen]).query_pairs(widest, output_type="ndarray")
+    pairs = chosen[pairs]
+    walls = pairs[~_joined(bonds, pairs, chosen, len(positions))]
+    return np.sort(_clusters(walls, len(positions)), axis=1)
 
 
-def _lumps(
-    gaps: Float64[np.ndarray, "voxels 3"], voxel: float
-) -> list[Float64[np.ndarray, "_ 3"]]:
-    """Connected groups of filled voxels, cut along their main axis."""
-    if len(gaps) < FEWEST:
-        return []
+def _lumps(gaps: Float64[np.ndarray, "voxels 3"], voxel: float) -> Float64[np.ndarray, "_ 3"]:
+    """Filled voxels that lie in groups of some size."""
+    if len(gaps) == 0:
+        return gaps
     index = np.rint((gaps - gaps.min(axis=0)) / voxel).astype(int)
     grid = np.zeros(index.max(axis=0) + 1, dtype=bool)
     grid[tuple(index.T)] = True
     lump = label(grid, np.ones((3, 3, 3)))[0][tuple(index.T)]
-    found = []
-    for number in np.unique(lump):
-        part = gaps[lump == number]
-        if len(part) >= FEWEST:
-            cell = cells_along(part, CHUNK)
-            found += [part[cell == k] for k in np.unique(cell)]
-    return found
+    return gaps[np.bincount(lump)[lump] >= FEWEST_VOXELS]
 
 
-def _facing(
-    positions: Float64[np.ndarray, "particles 3"],
-    bonds: Int64[np.ndarray, "bonds 2"],
-    tree: cKDTree,
-    core: Int64[np.ndarray, " core"],
-    widest: float,
-) -> list[Int64[np.ndarray, "walls 2"]]:
-    """All pairs up to `widest` [m] of the locally separate sides that meet in a core."""
-    inside = _around(positions, tree, core)
-    piece = _pieces(bonds, inside, len(positions))
-    numbers, sizes = np.unique(piece[core], return_counts=True)
-    sides = [np.flatnonzero(piece == n) for n in numbers[sizes >= FEWEST]]
-    found = []
-    for k, first in enumerate(sides):
-        for second in sides[k + 1 :]:
-            close = cKDTree(positions[first]).sparse_distance_matrix(
-                cKDTree(positions[second]), widest, output_type="ndarray"
-            )
-            pairs = np.stack([first[close["i"]], second[close["j"]]], axis=1)
-            found.append(np.sort(pairs, axis=1))
-    return found
-
-
-def _around(
-    positions: Float64[np.ndarray, "particles 3"], tree: cKDTree, core: Int64[np.ndarray, " core"]
+def _beside(
+    positions: Float64[np.ndarray, "particles 3"], points: Float64[np.ndarray, "_ 3"], reach: float
 ) -> Bool[np.ndarray, " particles"]:
-    low, high = positions[core].min(axis=0), positions[core].max(axis=0)
-    box = np.asarray(
-        tree.query_ball_point((low + high) / 2, float(np.linalg.norm(high - low)) / 2 + LOCAL),
-        dtype=np.int64,
-    )
-    distance, _ = cKDTree(positions[core]).query(positions[box], distance_upper_bound=LOCAL)
-    inside = np.zeros(len(positions), dtype=bool)
-    inside[box[np.isfinite(distance)]] = True
-    return inside
+    """Particles within `reach` [m] of any of the points."""
+    if len(points) == 0:
+        return np.zeros(len(positions), dtype=bool)
+    distance, _ = cKDTree(points).query(positions, distance_upper_bound=reach)
+    return np.isfinite(distance)
 
 
-def _pieces(
-    bonds: Int64[np.ndarray, "bonds 2"], inside: Bool[np.ndarray, " particles"], count: int
-) -> Int32[np.ndarray, " particles"]:
-    """Bonded piece of every particle inside; -1 elsewhere."""
-    piece = connected(bonds[inside[bonds].all(axis=1)], count).astype(np.int32)
-    piece[~inside] = -1
-    return piece
+def _joined(
+    bonds: Int64[np.ndarray, "bonds 2"],
+    pairs: Int64[np.ndarray, "pairs 2"],
+    chosen: Int64[np.ndarray, " chosen"],
+    count: int,
+) -> Bool[np.ndarray, " pairs"]:
+    """Whether at most `HOPS` bonds lead from one end of each pair to the other."""
+    graph = adjacency(bonds, count)
+    graph.setdiag(1)
+    step = graph[chosen]
+    for _ in range(HOPS - 1):
+        step = step @ graph
+        step.data[:] = 1
+    row = np.searchsorted(chosen, pairs[:, 0])
+    return np.asarray(step[row, pairs[:, 1]]).ravel() > 0
+
+
+def _clusters(walls: Int64[np.ndarray, "walls 2"], count: int) -> Int64[np.ndarray, "_ 2"]:
+    """Wall pairs that hang together in sufficient number."""
+    part = connected(walls, count)[walls[:, 0]] if len(walls) else np.zeros(0, np.int64)
+    return walls[np.bincount(part)[part] >= FEWEST_PAIRS] if len(walls) else walls

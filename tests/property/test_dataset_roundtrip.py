@@ -90,7 +90,7 @@ def random_meshes(rng, components):
     return ComponentMeshes(meshes=meshes, label_grid=grid)
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 2**32), st.integers(1, 40), st.integers(0, 4), st.integers(1, 3))
 def test_random_records_come_back(seed, particles, components, scenes_per_shard):
     """Ragged sizes, empty parts and several scenes a shard do not change a bit."""

@@ -44,9 +44,10 @@ def run(
     labels: np.ndarray,
     *,
     components: int,
+    genus: int = 0,
     contacts: np.ndarray | None = None,
 ) -> ComponentMeshes:
-    """Mesh positions with given labels and contacts."""
+    """Mesh positions with given labels, genus (of each) and contacts."""
     graph = SceneGraph(
         positions=np.zeros((components, 3), np.float32),
         components=np.arange(components, dtype=np.uint8),
@@ -55,7 +56,7 @@ def run(
     )
     topology = FrameTopology(
         labels=labels.astype(np.uint8),
-        genus=(0,) * components,
+        genus=(genus,) * components,
         graph=graph,
         contacts=np.zeros((0, 2), np.int32) if contacts is None else contacts.astype(np.int32),
     )
@@ -80,7 +81,7 @@ def test_unmerged_ends_stay_open(mesher: type, gap: float) -> None:
     labels = np.zeros(len(cloud))
     pairs = cKDTree(cloud).query_pairs(3 * SPACING, output_type="ndarray")
     contacts = pairs[side[pairs[:, 0]] * side[pairs[:, 1]] < 0]
-    merged = run(mesher(), cloud, labels, components=1).meshes[0]
+    merged = run(mesher(), cloud, labels, components=1, genus=1).meshes[0]
     parted = run(mesher(), cloud, labels, components=1, contacts=contacts).meshes[0]
     assert mesh_genus(merged.faces) == 1
     assert mesh_genus(parted.faces) == 0
@@ -89,6 +90,32 @@ def test_unmerged_ends_stay_open(mesher: type, gap: float) -> None:
     assert is_vertex_manifold(parted.faces)
     volume = mesh_volume(parted.vertices, parted.faces)
     assert volume == pytest.approx(len(cloud) * SPACING**3, rel=0.01)
+
+
+def test_only_seams_that_change_the_genus_are_opened() -> None:
+    """Where the closing has the label's genus already, contacts leave the mesh as it is."""
+    cloud, side = closed_ring(0.0)
+    labels = np.zeros(len(cloud))
+    pairs = cKDTree(cloud).query_pairs(2 * SPACING, output_type="ndarray")
+    contacts = pairs[side[pairs[:, 0]] * side[pairs[:, 1]] < 0]
+    assert len(contacts) > 0
+    plain = run(DualContouring(), cloud, labels, components=1, genus=1).meshes[0]
+    named = run(DualContouring(), cloud, labels, components=1, genus=1, contacts=contacts).meshes[0]
+    assert np.array_equal(plain.vertices, named.vertices)
+
+
+def test_one_of_two_seams_is_opened() -> None:
+    """Of a ring cut at two places, naming both, only as many seams open as the genus asks for."""
+    cloud, side = closed_ring(0.0)
+    lower = (cloud[:, 1] < 0) & (np.abs(cloud[:, 0]) < 0.006)
+    pairs = cKDTree(cloud).query_pairs(3 * SPACING, output_type="ndarray")
+    other = np.where(lower, np.sign(cloud[:, 0]), 0)
+    contacts = pairs[
+        (side[pairs[:, 0]] * side[pairs[:, 1]] < 0) | (other[pairs[:, 0]] * other[pairs[:, 1]] < 0)
+    ]
+    mesh = run(DualContouring(), cloud, np.zeros(len(cloud)), components=1, contacts=contacts)
+    assert mesh_genus(mesh.meshes[0].faces) == 0
+    assert shell_count(mesh.meshes[0].faces) == 1
 
 
 @pytest.mark.parametrize("mesher", MESHERS)

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+import skimage.measure
 from doughschemas import NO_COMPONENT
 from scipy import ndimage
 
 from doughdata.mesh.lumps import bridge_lumps, drop_lumps, fill_cavities, seed_missing
-from doughdata.mesh.repair import make_well_composed, separate
+from doughdata.mesh.repair import make_well_composed, separate, well_composed_genus
 
 EVERY = np.ones((3, 3, 3), bool)
 
@@ -96,3 +97,14 @@ def test_lost_component_gets_a_node() -> None:
     assert (labels == 1).sum() == 1
     near = ndimage.binary_dilation(labels == 1, EVERY)
     assert not (labels[near] == 0).any()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_genus_of_set_is_that_of_voxels(seed: int) -> None:
+    """The genus of a well-composed set is b1 = b0 + b2 - Euler characteristic of its voxels."""
+    field, labels = noise(seed, components=1, smooth=0.8)
+    make_well_composed(field, labels)
+    inside = labels == 0
+    hollows = ndimage.label(~inside)[1] - 1
+    euler = skimage.measure.euler_number(inside, connectivity=3)
+    assert well_composed_genus(inside) == ndimage.label(inside, EVERY)[1] + hollows - euler

@@ -140,7 +140,9 @@ def test_coulomb() -> None:
 def test_weights() -> None:
     """B-spline weights sum to one and reproduce a particle's position (no first-order error)."""
     dx, origin = 0.003125, np.array([-0.1, -0.1, -0.05])
-    grid = rigid.Grid(origin=kernels.Vec3(*origin), dx=dx, shape=rigid.Int3(64, 64, 64), table=-1)
+    grid = rigid.Grid(
+        origin=kernels.Vec3(*origin), dx=dx, inverse=1 / dx, shape=rigid.Int3(64, 64, 64), table=-1
+    )
     points = random_points(-0.04, 0.04, seed=5)
     base, w = np.zeros_like(points), np.zeros((len(points), 3, 3), np.float32)
     run_weights(points, base, w, grid)
@@ -156,7 +158,9 @@ def test_occupied_volume_is_that_of_the_fingers(name: str) -> None:
     sdf, dx = finger_sdf(tool), 0.003125
     shape = (56, 56, 32)
     origin = np.array([GAP[0], GAP[1], 0.0]) - dx * np.array([28, 28, 6])
-    grid = rigid.Grid(origin=kernels.Vec3(*origin), dx=dx, shape=rigid.Int3(*shape), table=-1)
+    grid = rigid.Grid(
+        origin=kernels.Vec3(*origin), dx=dx, inverse=1 / dx, shape=rigid.Int3(*shape), table=-1
+    )
     total = int(np.prod(shape))
     colliders, free = np.zeros((2 * total, 4), np.float32), np.zeros(2 * total, np.float32)
     run_find(sdf.values.reshape(-1), colliders, free, grid, contact_of(sdf))
@@ -169,7 +173,9 @@ def test_node_distances_are_those_of_the_fingers() -> None:
     tool = Tool(name="test", depth=0.012, width=0.02, height=0.03)
     sdf, dx, shape = finger_sdf(tool), 0.003125, (40, 40, 24)
     origin = np.array([GAP[0], GAP[1], 0.0]) - dx * np.array([20, 20, 6])
-    grid = rigid.Grid(origin=kernels.Vec3(*origin), dx=dx, shape=rigid.Int3(*shape), table=-1)
+    grid = rigid.Grid(
+        origin=kernels.Vec3(*origin), dx=dx, inverse=1 / dx, shape=rigid.Int3(*shape), table=-1
+    )
     total = int(np.prod(shape))
     colliders, free = np.zeros((2 * total, 4), np.float32), np.zeros(2 * total, np.float32)
     run_find(sdf.values.reshape(-1), colliders, free, grid, contact_of(sdf))

@@ -80,8 +80,8 @@ def _geometry_arrays(frames: Mapping[int, ComponentMeshes], count: int) -> dict[
         num_meshes[row] = len(frame.meshes)
         vertex_offsets[row] = _offsets([len(m.vertices) for m in frame.meshes], most)
         face_offsets[row] = _offsets([len(m.faces) for m in frame.meshes], most)
-    vertices = np.full((count, padded_length(vertex_offsets.max()), 3), np.nan, np.float32)
-    faces = np.full((count, padded_length(face_offsets.max()), 3), NO_VERTEX, np.uint32)
+    vertices = np.full((count, padded_length(int(vertex_offsets.max())), 3), np.nan, np.float32)
+    faces = np.full((count, padded_length(int(face_offsets.max())), 3), NO_VERTEX, np.uint32)
     for row, frame in frames.items():
         for k, mesh in enumerate(frame.meshes):
             vertices[row, vertex_offsets[row, k] : vertex_offsets[row, k + 1]] = mesh.vertices
@@ -102,7 +102,7 @@ def _grid_arrays(frames: Mapping[int, ComponentMeshes], count: int) -> dict[str,
     if len(spacings) != 1:
         raise BadInputError(f"label grids must share one spacing, got {sorted(spacings)} m")
     shape = np.max([grid.labels.shape for grid in grids.values()], axis=0)
-    shape = (shape[0], shape[1], padded_length(shape[2]))
+    shape = (int(shape[0]), int(shape[1]), padded_length(int(shape[2])))
     labels = np.full((count, *shape), NO_COMPONENT, np.uint8)
     shapes = np.zeros((count, 3), np.uint32)
     origins = np.zeros((count, 3), np.float64)

@@ -1,0 +1,116 @@
+"""The solid of one component: the closing of its particles that has the genus of its label.
+
+Whether touching parts are merged is for the topology check to say. So the closing is tried as it is
+first; where its genus is not the label's, the seams that the check names are opened one by one,
+then other closing radii are tried, and the nearest genus wins. Lengths are in cells unless said.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from doughschemas import NO_COMPONENT
+from jaxtyping import Float, Float32, Int, UInt8
+
+from doughdata.mesh.distance import closing_field, level_for_volume
+from doughdata.mesh.lumps import bridge_lumps, drop_lumps, fill_cavities
+from doughdata.mesh.repair import make_well_composed, separate, well_composed_genus
+from doughdata.mesh.walls import carve_gaps, cut_slits, seams_of
+
+__all__ = ["SolidConfig", "component_field", "tidy"]
+
+SEAM_REACH = 1.5  # spacings; touching particles this near are of one seam
+NODE_ZERO = 1e-3  # a crossing exactly on a node would make empty triangles
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SolidConfig:
+    """How particles become a solid. Lengths are in particle spacings at rest."""
+
+    cells_per_spacing: float = 1.6  # cell size = spacing / this
+    closing_radius: float = 1.5  # gaps narrower than about twice this are closed
+    other_radii: tuple[float, ...] = (1.75, 2.0, 1.25)  # tried where the genus is not the label's
+    level_low: float = 0.3  # least distance of the surface from the outermost particles
+    level_high: float = 1.0  # greatest
+    lump_share: float = 0.02  # smaller lumps of a component, against its largest, are dropped
+
+
+def component_field(
+    cloud: Float[np.ndarray, "members 3"],
+    pairs: Int[np.ndarray, "pairs 2"],
+    shape: tuple[int, int, int],
+    *,
+    genus: int,
+    config: SolidConfig,
+) -> Float32[np.ndarray, "nx ny nz"]:
+    """Signed distance to the solid of one component, repaired, negative inside.
+
+    Args:
+        cloud: particles on the lattice of the field.
+        pairs: indices into the cloud of pairs that touch without being merged.
+        shape: nodes along each axis.
+        genus: of the label.
+        config: see SolidConfig.
+    """
+
+    def closing(radius: float) -> Float32[np.ndarray, "nx ny nz"]:
+        per = config.cells_per_spacing
+        return closing_field(cloud, shape, radius=radius * per, level=0.5 * per)
+
+    base = closing(config.closing_radius)
+    opened = pairs[:0]
+    best, error = _finish(base, cloud, opened, genus, config)
+    for seam in seams_of(cloud, pairs, reach=SEAM_REACH * config.cells_per_spacing):
+        if error == 0:
+            return best
+        trial = np.concatenate([opened, seam])
+        field, found = _finish(base, cloud, trial, genus, config)
+        if found < error:
+            best, error, opened = field, found, trial
+    for radius in config.other_radii:
+        if error == 0:
+            return best
+        field, found = _finish(closing(radius), cloud, opened, genus, config)
+        if found < error:
+            best, error = field, found
+    return best
+
+
+def _finish(
+    closing: Float32[np.ndarray, "nx ny nz"],
+    cloud: Float[np.ndarray, "members 3"],
+    pairs: Int[np.ndarray, "pairs 2"],
+    genus: int,
+    config: SolidConfig,
+) -> tuple[Float32[np.ndarray, "nx ny nz"], int]:
+    """Field with the particles' volume, pairs kept open, repaired; and how far off its genus is."""
+    per = config.cells_per_spacing
+    field = closing.copy()
+    if len(pairs):
+        carve_gaps(field, cloud, pairs, level=0.5 * per)
+    level = level_for_volume(
+        field, len(cloud) * per**3, low=config.level_low * per, high=config.level_high * per
+    )
+    field -= np.float32(level)
+    if len(pairs):
+        cut_slits(field, cloud, pairs)
+    labels = np.where(field < 0.0, np.uint8(0), np.uint8(NO_COMPONENT))
+    tidy(field, labels, config)
+    return field, abs(well_composed_genus(labels != NO_COMPONENT) - genus)
+
+
+def tidy(
+    field: Float32[np.ndarray, "nx ny nz"],
+    labels: UInt8[np.ndarray, "nx ny nz"],
+    config: SolidConfig,
+) -> None:
+    """Repair in place: apart, well-composed, joined where it should be, no splinters or hollows."""
+    near = np.abs(field) < NODE_ZERO
+    field[near] = np.where(labels[near] == NO_COMPONENT, NODE_ZERO, -NODE_ZERO)
+    separate(field, labels)
+    make_well_composed(field, labels)
+    reach = 2.0 * config.closing_radius * config.cells_per_spacing
+    if bridge_lumps(field, labels, share=config.lump_share, reach=reach):
+        separate(field, labels)
+        make_well_composed(field, labels)
+    drop_lumps(field, labels, share=config.lump_share)
+    fill_cavities(field, labels)

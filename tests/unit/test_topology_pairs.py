@@ -1,0 +1,48 @@
+import numpy as np
+
+from doughdata.topology.pairs import connected, decode, encode, near_keys, without
+from doughdata.topology.pulls import disjoint_paths
+
+
+def test_pair_keys_round_trip() -> None:
+    """Decoding the keys of a set of pairs gives the set back, lower particle first and sorted."""
+    pairs = np.array([[3, 1], [0, 4], [2, 0]])
+    assert decode(encode(pairs, 5), 5).tolist() == [[0, 2], [0, 4], [1, 3]]
+
+
+def test_near_keys_are_all_near_pairs() -> None:
+    """The near pairs are exactly those that a full table of distances shows."""
+    x = np.random.default_rng(1).uniform(size=(60, 3))
+    distance = np.linalg.norm(x[:, None] - x[None], axis=2)
+    expected = np.argwhere(np.triu(distance < 0.3, 1))
+    assert decode(near_keys(x, 0.3), 60).tolist() == expected.tolist()
+
+
+def test_set_difference_of_keys() -> None:
+    """Taking a table out of a set of keys leaves what Python's sets leave."""
+    a, b = np.array([1, 4, 7, 9]), np.array([0, 4, 9])
+    assert set(without(a, b).tolist()) == {1, 7}
+    assert without(a, b[:0]).tolist() == a.tolist()
+
+
+def test_connected_without_pairs() -> None:
+    """Without pairs every particle is a piece of its own."""
+    assert len(set(connected(np.zeros((0, 2), np.int64), 4).tolist())) == 4
+
+
+def test_disjoint_paths_of_a_bundle() -> None:
+    """A bundle of k separate threads between two blocks has k vertex-disjoint paths."""
+    threads = [(0.0, 3.0 * k, float(z)) for k in range(4) for z in range(1, 6)]
+    ends = [(0.0, 3.0 * k, float(z)) for k in range(4) for z in (0, 6)]
+    x = np.array(threads + ends)
+    first, second = x[:, 2] == 0, x[:, 2] == 6
+    assert disjoint_paths(x, first, second, 1.1) == 4
+
+
+def test_disjoint_paths_through_a_bottleneck() -> None:
+    """Two sheets joined by one particle have one path, apart from it none."""
+    sheet = [(x, y, z) for x in range(3) for y in range(3) for z in (0.0, 2.0)]
+    x = np.array([*sheet, (1, 1, 1.0)], dtype=float)
+    first, second = x[:, 2] == 0, x[:, 2] == 2
+    assert disjoint_paths(x, first, second, 1.1) == 1
+    assert disjoint_paths(x[:-1], first[:-1], second[:-1], 1.1) == 0
