@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 import zarr
+
+from doughdata.dataset import Dataset, DatasetSettings, StageRecord, open_dataset, open_writer
 from doughschemas import (
     Camera,
     ComponentMesh,
@@ -30,8 +32,6 @@ from doughschemas import (
     ToolPoses,
     Topology,
 )
-
-from doughdata.dataset import Dataset, DatasetSettings, StageRecord, open_dataset, open_writer
 
 FRAMES = 13  # key frames a scene
 PARTICLES = 5000

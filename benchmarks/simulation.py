@@ -16,6 +16,7 @@ import time
 from typing import Any
 
 import numpy as np
+
 from doughschemas import Action, Body, Material, Scene
 
 SPACING, NODES, DT, STEPS, REPEATS = 0.00125, 64, 1e-4, 200, 3

@@ -9,6 +9,14 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float64, Int64
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from doughdata.dataset import FrameTools, open_dataset
+from doughdata.geometry import points_from_depth, transform_points
+from doughdata.registry import require_package
+from doughdata.seeds import seed_sequence
 from doughschemas import (
     NO_COMPONENT,
     SEGMENT_COMPONENT,
@@ -19,14 +27,6 @@ from doughschemas import (
     MissingLayerError,
     Tool,
 )
-from jaxtyping import Float64, Int64
-from torch import Tensor
-from torch.utils.data import Dataset
-
-from doughdata.dataset import FrameTools, open_dataset
-from doughdata.geometry import points_from_depth, transform_points
-from doughdata.registry import require_package
-from doughdata.seeds import seed_sequence
 
 __all__ = ["DoughDataset"]
 

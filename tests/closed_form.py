@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+
+from doughdata.scenes import finger_poses, tool_preset
 from doughschemas import (
     NO_COMPONENT,
     SEGMENT_COMPONENT,
@@ -29,8 +31,6 @@ from doughschemas import (
     Topology,
     TopologyEvent,
 )
-
-from doughdata.scenes import finger_poses, tool_preset
 
 SPACING = 0.002  # [m], side of a cube
 NUM_FRAMES = 3

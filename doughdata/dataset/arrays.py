@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from doughschemas import SCHEMA_VERSION, DamagedDatasetError
 from jaxtyping import UInt64
+
+from doughschemas import SCHEMA_VERSION, DamagedDatasetError
 
 __all__ = ["ArraySpec", "ShardedArray", "padded_length", "write_arrays"]
 

@@ -4,10 +4,9 @@ from dataclasses import replace
 from hashlib import sha256
 from typing import Any
 
-from doughschemas import Scene, Tool
-
 from doughdata.dataset.store import Store
 from doughdata.scenes import finger_mesh
+from doughschemas import Scene, Tool
 
 __all__ = ["resolve_tools", "store_tools"]
 

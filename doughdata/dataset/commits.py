@@ -5,10 +5,9 @@ from dataclasses import asdict, dataclass, field
 from hashlib import sha256
 from typing import Any
 
-from doughschemas import SCHEMA_VERSION, DamagedDatasetError
-
 from doughdata.dataset.documents import dump_document, load_document, plain_json
 from doughdata.dataset.store import Store
+from doughschemas import SCHEMA_VERSION, DamagedDatasetError
 
 __all__ = [
     "UPSTREAM",

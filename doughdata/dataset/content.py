@@ -5,6 +5,14 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+
+from doughdata.dataset.commits import CommitRecord
+from doughdata.dataset.graphs import component_count, mesh_genus, mesh_volume, mesh_watertight
+from doughdata.dataset.layers import decode_label_grid, decode_meshes, decode_topology
+from doughdata.dataset.layers.columns import vectors_array
+from doughdata.dataset.report import Problem
+from doughdata.dataset.shards import LayerShard, ShardRows
+from doughdata.dataset.store import Store
 from doughschemas import (
     NO_COMPONENT,
     SEGMENT_COMPONENT,
@@ -16,14 +24,6 @@ from doughschemas import (
     DoughError,
     FrameTopology,
 )
-
-from doughdata.dataset.commits import CommitRecord
-from doughdata.dataset.graphs import component_count, mesh_genus, mesh_volume, mesh_watertight
-from doughdata.dataset.layers import decode_label_grid, decode_meshes, decode_topology
-from doughdata.dataset.layers.columns import vectors_array
-from doughdata.dataset.report import Problem
-from doughdata.dataset.shards import LayerShard, ShardRows
-from doughdata.dataset.store import Store
 
 __all__ = ["ContentCheck"]
 

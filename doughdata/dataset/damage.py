@@ -3,12 +3,12 @@
 from pathlib import PurePosixPath
 
 import numpy as np
-from doughschemas import DoughError
 
 from doughdata.dataset.arrays import ShardedArray
 from doughdata.dataset.commits import CommitRecord, read_commit
 from doughdata.dataset.shards import ARRAYS, LayerShard, ShardRows
 from doughdata.dataset.store import Store
+from doughschemas import DoughError
 
 __all__ = ["damaged_frames"]
 

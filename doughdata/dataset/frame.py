@@ -5,15 +5,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from doughschemas import (
-    ComponentMesh,
-    DepthViews,
-    FrameTopology,
-    LabelGrid,
-    MissingLayerError,
-    Tool,
-    TopologyEvent,
-)
 from jaxtyping import Float32, Float64, UInt8
 
 from doughdata.dataset.layers import (
@@ -23,6 +14,15 @@ from doughdata.dataset.layers import (
     decode_label_grid,
     decode_meshes,
     decode_tool_poses,
+)
+from doughschemas import (
+    ComponentMesh,
+    DepthViews,
+    FrameTopology,
+    LabelGrid,
+    MissingLayerError,
+    Tool,
+    TopologyEvent,
 )
 
 if TYPE_CHECKING:

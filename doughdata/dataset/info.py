@@ -4,12 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from doughschemas import SCHEMA_VERSION, DatasetError
-from doughschemas.migrate import check_version
-
 from doughdata.dataset.commits import StageRecord
 from doughdata.dataset.documents import dump_document, load_document, plain_json
 from doughdata.dataset.store import Store
+from doughschemas import SCHEMA_VERSION, DatasetError
+from doughschemas.migrate import check_version
 
 __all__ = ["DatasetSettings", "create_info", "default_scenes_per_shard", "read_info"]
 

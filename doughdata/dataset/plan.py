@@ -6,6 +6,11 @@ from dataclasses import asdict, dataclass
 from hashlib import sha256
 from typing import Any
 
+from doughdata import registry
+from doughdata.dataset.assets import resolve_tools, store_tools
+from doughdata.dataset.documents import dump_document, load_document
+from doughdata.dataset.store import Store
+from doughdata.scenes import scene_from_json, scene_to_json
 from doughschemas import (
     SCHEMA_VERSION,
     BadInputError,
@@ -13,12 +18,6 @@ from doughschemas import (
     DatasetError,
     Scene,
 )
-
-from doughdata import registry
-from doughdata.dataset.assets import resolve_tools, store_tools
-from doughdata.dataset.documents import dump_document, load_document
-from doughdata.dataset.store import Store
-from doughdata.scenes import scene_from_json, scene_to_json
 
 __all__ = [
     "PlanRecord",

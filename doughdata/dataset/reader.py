@@ -13,15 +13,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pyarrow as pa
-from doughschemas import (
-    BadInputError,
-    ComponentMeshes,
-    DepthViews,
-    MissingLayerError,
-    Particles,
-    Scene,
-    Topology,
-)
 
 from doughdata.dataset.assets import resolve_tools
 from doughdata.dataset.commits import CommitLog, CommitRecord
@@ -39,6 +30,15 @@ from doughdata.dataset.shards import LayerShard, ShardRows, read_table
 from doughdata.dataset.store import Store, store_of
 from doughdata.dataset.tables import TABLES, build_tables
 from doughdata.scenes import scene_from_json
+from doughschemas import (
+    BadInputError,
+    ComponentMeshes,
+    DepthViews,
+    MissingLayerError,
+    Particles,
+    Scene,
+    Topology,
+)
 
 __all__ = ["Dataset", "open_dataset"]
 

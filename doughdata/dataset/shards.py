@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from doughschemas import SCHEMA_VERSION, DamagedDatasetError
 
 from doughdata.dataset.arrays import ArraySpec, ShardedArray
 from doughdata.dataset.commits import CommitRecord
+from doughschemas import SCHEMA_VERSION, DamagedDatasetError
 
 __all__ = ["Encoded", "LayerShard", "ShardRows", "TableIndex", "read_table", "write_table"]
 

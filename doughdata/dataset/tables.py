@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from doughschemas import SCHEMA_VERSION
 
 from doughdata.dataset.commits import CommitLog, CommitRecord
 from doughdata.dataset.info import features_of, read_info, write_info
 from doughdata.dataset.shards import read_table
 from doughdata.dataset.store import Store
+from doughschemas import SCHEMA_VERSION
 
 __all__ = ["TABLES", "build_info", "build_tables", "fingerprint_of", "refresh_tables"]
 

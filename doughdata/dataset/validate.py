@@ -5,9 +5,6 @@ from collections.abc import Callable, Iterator, Mapping
 from hashlib import sha256
 from typing import Any
 
-from doughschemas import DoughError
-from doughschemas.json_schemas import read_json_schema
-
 from doughdata.dataset.commits import CommitLog, CommitRecord, list_layers, read_commit
 from doughdata.dataset.content import ContentCheck
 from doughdata.dataset.damage import damaged_frames
@@ -19,6 +16,8 @@ from doughdata.dataset.report import Problem, Report
 from doughdata.dataset.shards import ShardRows, read_table
 from doughdata.dataset.store import Store, store_of
 from doughdata.dataset.tables import build_info, build_tables
+from doughschemas import DoughError
+from doughschemas.json_schemas import read_json_schema
 
 __all__ = ["validate"]
 

@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 from uuid import uuid4
 
-from doughschemas import BadInputError, DatasetError, Scene
-
 from doughdata.dataset.arrays import write_arrays
 from doughdata.dataset.assets import store_tools
 from doughdata.dataset.commits import (
@@ -46,6 +44,7 @@ from doughdata.dataset.store import (
     sync_tree,
 )
 from doughdata.dataset.tables import refresh_tables
+from doughschemas import BadInputError, DatasetError, Scene
 
 __all__ = ["DatasetWriter", "Task", "open_writer"]
 

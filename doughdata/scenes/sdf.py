@@ -6,11 +6,11 @@ from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
-from doughschemas import Tool
 from jaxtyping import Float32, Float64
 
 from doughdata.registry import require_package
 from doughdata.scenes.tools import finger_mesh
+from doughschemas import Tool
 
 __all__ = ["SignedDistanceGrid", "finger_sdf"]
 

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from doughschemas import Action, BadInputError, Particles, Scene, SimulationError, ToolPoses
 from jaxtyping import Float64, UInt8
 
 from doughdata.scenes.limits import to_world
@@ -12,6 +11,7 @@ from doughdata.scenes.sdf import MARGIN, SignedDistanceGrid, finger_sdf
 from doughdata.scenes.shapes import shape_of
 from doughdata.scenes.tools import finger_poses, opening_at
 from doughdata.sim.solver import Physics, Solver, Squeeze
+from doughschemas import Action, BadInputError, Particles, Scene, SimulationError, ToolPoses
 
 __all__ = ["MpmConfig", "MpmSimulator", "draft", "fine", "standard"]
 

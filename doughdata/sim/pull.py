@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from doughschemas import BadInputError, Material
 from jaxtyping import Float64
 
 from doughdata.sim.solver import Physics, Solver
 from doughdata.stages import PullProblem
+from doughschemas import BadInputError, Material
 
 __all__ = ["MpmPullApart", "PullConfig"]
 

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from doughschemas import Material, SimulationError
 from jaxtyping import Float32, Float64, Int8
 
 from doughdata.scenes.sdf import SignedDistanceGrid
 from doughdata.sim import contact, kernels
 from doughdata.sim._taichi import start
 from doughdata.sim.stress import Vec3
+from doughschemas import Material, SimulationError
 
 __all__ = ["Physics", "Solver", "Squeeze"]
 

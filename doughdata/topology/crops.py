@@ -2,7 +2,7 @@
 
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from doughdata.topology.bonds import BondGraph
 from doughdata.topology.pairs import connected, lengths
@@ -19,7 +19,7 @@ def crop(
     low = positions[core].min(axis=0) - radius
     high = positions[core].max(axis=0) + radius
     box = np.flatnonzero(((positions >= low) & (positions <= high)).all(axis=1))
-    distance, _ = cKDTree(positions[core]).query(positions[box], distance_upper_bound=radius)
+    distance, _ = KDTree(positions[core]).query(positions[box], distance_upper_bound=radius)
     return box[np.isfinite(distance)]
 
 
@@ -54,14 +54,14 @@ def chunks(
 ) -> list[Int64[np.ndarray, " _"]]:
     """Cut a set of pairs into patches: rows of `pairs` per patch.
 
-    Pairs up to `longest` [m] whose lower ends lie within `link` [m] form a cluster; a cluster is cut
-    every `length` [m] along its main axis.
+    Pairs up to `longest` [m] whose lower ends lie within `link` [m] form a cluster; a cluster is
+    cut every `length` [m] along its main axis.
     """
     rows = np.flatnonzero(lengths(positions, pairs) < longest)
     if len(rows) == 0:
         return []
     used, place = np.unique(pairs[rows].ravel(), return_inverse=True)
-    near = cKDTree(positions[used]).query_pairs(link, output_type="ndarray")
+    near = KDTree(positions[used]).query_pairs(link, output_type="ndarray")
     cluster = connected(near, len(used))[place.reshape(-1, 2)[:, 0]]
     found = []
     for number in np.unique(cluster):

@@ -1,10 +1,9 @@
 """The dynamic check: two pieces are one if they stay together when pulled apart."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from doughschemas import FrameTopology, Particles, Scene, Topology, TopologyEvent
 from jaxtyping import UInt8
 
 from doughdata.stages import PullApart
@@ -20,6 +19,7 @@ from doughdata.topology.tracking import (
     first_labels,
     next_labels,
 )
+from doughschemas import FrameTopology, Particles, Scene, Topology, TopologyEvent
 
 __all__ = ["DynamicCheck", "DynamicConfig"]
 
@@ -57,7 +57,7 @@ class DynamicConfig:
     closing_radii: tuple[float, ...] = (2.0, 1.75)  # the first gives the genus
     crumb_share: float = 0.02  # of all particles; a smaller piece is a crumb ...
     crumb_volume: float = 0.8e-6  # [m3] ... if it is also smaller than this
-    static: StaticConfig = StaticConfig()  # of the static check beside it
+    static: StaticConfig = field(default_factory=StaticConfig)  # of the static check beside it
 
 
 class DynamicCheck:

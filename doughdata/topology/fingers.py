@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from doughschemas import Scene, ToolPoses
 from jaxtyping import Bool, Float64
 
 from doughdata.scenes.sdf import SignedDistanceGrid, finger_sdf
+from doughschemas import Scene, ToolPoses
 
 __all__ = ["Gripper", "gripper_at"]
 

@@ -4,18 +4,19 @@ A genus is read at few key frames and only looked at more closely where two read
 change that lasts for one or two key frames is a flicker: it is smoothed and marked.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from doughschemas import SceneGraph
 from jaxtyping import Float32, Float64, Int64, UInt8
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from doughdata.topology.skeletons import Skeleton, cycle_rank, skeleton_of
 from doughdata.topology.solids import Closing, Solid, solid_genus
 from doughdata.topology.tracking import count_labels
 from doughdata.topology.walls import find_walls
+from doughschemas import SceneGraph
 
 __all__ = ["Shape", "read_shapes", "scene_graph"]
 
@@ -130,7 +131,7 @@ class _Track:
         ]
         edges = [0, *(k for k in range(1, len(genus)) if genus[k] != genus[k - 1]), len(genus)]
         settled = list(genus)
-        for low, high in zip(edges[:-1], edges[1:], strict=True):
+        for low, high in itertools.pairwise(edges):
             # The last key frames of the scene have no later ones to judge them.
             ends = high == len(genus) and self.last == len(self.positions) - 1
             if high - low < FLICKER and len(edges) > 2 and ends:
@@ -155,7 +156,7 @@ class _Track:
                 solid = self._solid_for(frame, genus[offset])
                 skeleton, made = skeleton_of(solid), frame
                 members = self.members[offset]
-                node = cKDTree(skeleton.positions).query(self._at(frame, members))[1]
+                node = KDTree(skeleton.positions).query(self._at(frame, members))[1]
                 anchor, start = members, self._at(frame, members)
             moved = _node_shift(node, self._at(frame, anchor) - start, len(skeleton.positions))
             shapes.append(
@@ -248,7 +249,7 @@ def scene_graph(
     components, particles, edges, base = [], [], [], 0
     for k, shape in enumerate(shapes):
         number = len(shape.nodes)
-        nearest = cKDTree(shape.nodes).query(positions[labels == k])[1]
+        nearest = KDTree(shape.nodes).query(positions[labels == k])[1]
         components.append(np.full(number, k, np.uint8))
         particles.append(np.bincount(nearest, minlength=number).astype(np.int32))
         edges.append(shape.skeleton.edges + base)

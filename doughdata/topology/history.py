@@ -4,9 +4,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from doughschemas import Particles, Scene
 from jaxtyping import Float64, Int32, Int64, UInt8
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from doughdata.stages import PullApart
 from doughdata.topology.bonds import BondGraph
@@ -16,6 +15,7 @@ from doughdata.topology.merges import Patch, merge_patches
 from doughdata.topology.pairs import connected, decode, encode
 from doughdata.topology.pulls import PullTest, disjoint_paths, make_test, run_tests
 from doughdata.topology.splits import Neck, split_necks
+from doughschemas import Particles, Scene
 
 if TYPE_CHECKING:
     from doughdata.topology.dynamic import DynamicConfig
@@ -178,7 +178,7 @@ class History:
         self, pulled: Float64[np.ndarray, "crop 3"], test: PullTest
     ) -> UInt8[np.ndarray, " particles"]:
         """Side 1 or 2 of every particle of the crop: the end that it stays with."""
-        near = cKDTree(pulled)
+        near = KDTree(pulled)
         radius = self.config.path_radius * self.graph.spacing
         while True:
             piece = connected(near.query_pairs(radius, output_type="ndarray"), len(pulled))
@@ -190,7 +190,7 @@ class History:
         loose = np.flatnonzero((own == 0) | (own == 3))
         if len(loose):
             known = np.flatnonzero((own == 1) | (own == 2))
-            own[loose] = own[known[cKDTree(pulled[known]).query(pulled[loose])[1]]]
+            own[loose] = own[known[KDTree(pulled[known]).query(pulled[loose])[1]]]
         side = np.zeros(self.graph.count, np.uint8)
         side[test.indices] = own
         return side

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 __all__ = [
     "adjacency",
@@ -37,7 +37,7 @@ def near_keys(
     positions: Float64[np.ndarray, "particles 3"], radius: float
 ) -> Int64[np.ndarray, " pairs"]:
     """Keys of all pairs closer than `radius` [m]."""
-    pairs = cKDTree(positions).query_pairs(radius, output_type="ndarray")
+    pairs = KDTree(positions).query_pairs(radius, output_type="ndarray")
     return encode(pairs, len(positions))
 
 

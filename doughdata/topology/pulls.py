@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from doughschemas import BadInputError
 from jaxtyping import Bool, Float64, Int64
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import maximum_flow
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from doughdata.stages import PullApart, PullProblem
+from doughschemas import BadInputError
 
 __all__ = ["PullTest", "disjoint_paths", "make_test", "run_tests"]
 
@@ -46,10 +46,11 @@ def make_test(
 ) -> PullTest:
     """Set up a pull: the particles of both sides over `handle` [m] from `near` are driven.
 
-    `core` moves freely with the sides. `second` moves along `direction`, `first` against it, by `distance` [m] at `speed` [m/s].
+    `core` moves freely with the sides. `second` moves along `direction`, `first` against it, by
+    `distance` [m] at `speed` [m/s].
     """
     indices = np.union1d(np.union1d(first, second), core)
-    far, _ = cKDTree(positions[near]).query(positions[indices])
+    far, _ = KDTree(positions[near]).query(positions[indices])
     driven = [_far_end(np.isin(indices, side), far, handle) for side in (first, second)]
     handles = (driven[0] + 2 * driven[1]).astype(np.int8)
     problem = PullProblem(
@@ -101,7 +102,7 @@ def disjoint_paths(
     Maximum flow with unit capacity through every particle that is in neither set.
     """
     count = len(positions)
-    pairs = cKDTree(positions).query_pairs(radius, output_type="ndarray")
+    pairs = KDTree(positions).query_pairs(radius, output_type="ndarray")
     source, sink = 2 * count, 2 * count + 1
     node = np.arange(count)
     enter = np.where(first, source, np.where(second, sink, node))
@@ -120,7 +121,7 @@ def disjoint_paths(
     return int(maximum_flow(flow, source, sink).flow_value)
 
 
-def _entry(matrix: coo_matrix, row: int, column: int) -> Int64[np.ndarray, " _"]:
+def _entry(matrix: csr_matrix, row: int, column: int) -> Int64[np.ndarray, " _"]:
     """Place of one stored entry of a CSR matrix (empty when it is zero)."""
     low, high = matrix.indptr[row], matrix.indptr[row + 1]
     return low + np.flatnonzero(matrix.indices[low:high] == column)

@@ -1,5 +1,6 @@
 """Scene-topology graphs: a solid thinned to curves, the curves cut into a simple graph."""
 
+import itertools
 from collections import Counter
 from dataclasses import dataclass
 
@@ -8,7 +9,7 @@ from jaxtyping import Bool, Float64, Int32, Int64
 from scipy.ndimage import binary_fill_holes, label
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from skimage.morphology import skeletonize
 
 from doughdata.topology.pairs import connected
@@ -75,7 +76,7 @@ def _trace(
 ) -> tuple[Float64[np.ndarray, "nodes 3"], list[_Arc]]:
     """Nodes (clusters of branching voxels, ends, one on each bare loop) and the arcs between."""
     count = len(thin)
-    pairs = cKDTree(thin).query_pairs(NEIGHBOUR, output_type="ndarray")
+    pairs = KDTree(thin).query_pairs(NEIGHBOUR, output_type="ndarray")
     degree = np.bincount(pairs.ravel(), minlength=count)
     branch, end = degree >= 3, degree <= 1
     both = branch[pairs].all(axis=1)
@@ -186,7 +187,7 @@ def _simple(
         inner = _along(arc.points, np.arange(1, number) / number)
         path = [place[arc.start], *range(len(points), len(points) + number - 1), place[arc.end]]
         points.extend(inner)
-        edges += list(zip(path[:-1], path[1:], strict=True))
+        edges += list(itertools.pairwise(path))
     return np.asarray(points), np.asarray(edges, dtype=np.int32).reshape(-1, 2)
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from doughdata.topology.bonds import BondGraph
 from doughdata.topology.crops import SIDE_BOND, crop, sides
@@ -130,7 +130,7 @@ def _compression(
     cells = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3) @ axes
     distance = gripper.distances(cells)
     cells = cells[(distance > 0).all(axis=0) & (distance.sum(axis=0) < opening + LATERAL * s)]
-    near, _ = cKDTree(core).query(cells, distance_upper_bound=0.8 * s)
+    near, _ = KDTree(core).query(cells, distance_upper_bound=0.8 * s)
     room = np.isfinite(near).sum() * float(step.prod())
     return max(1.0, len(core) * s**3 / room) if room else 1.0
 

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from doughschemas import FrameTopology, Particles, Scene, Topology
 from jaxtyping import Float64, Int32, Int64, UInt8
 
 from doughdata.topology.genus import Shape, scene_graph
@@ -19,6 +18,7 @@ from doughdata.topology.tracking import (
     first_labels,
     next_labels,
 )
+from doughschemas import FrameTopology, Particles, Scene, Topology
 
 __all__ = ["StaticCheck", "StaticConfig", "StaticFrame", "static_frames"]
 

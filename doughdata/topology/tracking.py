@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from doughschemas import STRAY, FrameTopology, Particles, TopologyEvent
-from jaxtyping import Float64, Int32, UInt8
+from jaxtyping import Float, Int32, UInt8
 
 from doughdata.topology.pairs import connected
+from doughschemas import STRAY, FrameTopology, Particles, TopologyEvent
 
 __all__ = [
     "components_of",
@@ -42,7 +42,7 @@ def components_of(
 
 def first_labels(
     parts: Sequence[Int32[np.ndarray, " _"]],
-    positions: Float64[np.ndarray, "particles 3"],
+    positions: Float[np.ndarray, "particles 3"],
     object_ids: UInt8[np.ndarray, " particles"],
 ) -> UInt8[np.ndarray, " particles"]:
     """Labels of the first frame: by body, then from the largest piece to the smallest."""
@@ -56,7 +56,7 @@ def first_labels(
 def next_labels(
     parts: Sequence[Int32[np.ndarray, " _"]],
     before: UInt8[np.ndarray, " particles"],
-    positions: Float64[np.ndarray, "particles 3"],
+    positions: Float[np.ndarray, "particles 3"],
 ) -> UInt8[np.ndarray, " particles"]:
     """Labels of the next frame, 0..c-1.
 

@@ -8,14 +8,17 @@ they are not, the gap is real and the solid has to stay open.
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.ndimage import label
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
+from doughdata.topology.crops import chunks
 from doughdata.topology.pairs import adjacency, connected
 
 __all__ = ["find_walls"]
 
 HOPS = 3  # bonds between two particles of one piece, at most, across a gap that may be filled
 REACH = 2.2  # [spacings], from a filled gap to the particles beside it
+LOCAL = 0.006  # [m]; sides that join within this of a gap are one
+CHUNK = 0.008  # [m], length of a gap that is judged at once
 FEWEST_VOXELS = 6  # of a gap that is looked at
 FEWEST_PAIRS = 12  # of a wall; fewer are noise
 
@@ -42,10 +45,14 @@ def find_walls(
     chosen = np.flatnonzero(core)
     if len(chosen) < 2:
         return np.zeros((0, 2), np.int64)
-    pairs = cKDTree(positions[chosen]).query_pairs(widest, output_type="ndarray")
+    pairs = KDTree(positions[chosen]).query_pairs(widest, output_type="ndarray")
     pairs = chosen[pairs]
     walls = pairs[~_joined(bonds, pairs, chosen, len(positions))]
-    return np.sort(_clusters(walls, len(positions)), axis=1)
+    kept = [np.zeros((0, 2), np.int64)]
+    for cluster in _clusters(walls, len(positions)):
+        if _apart(positions, bonds, cluster, spacing):
+            kept.append(np.sort(cluster, axis=1))
+    return np.concatenate(kept)
 
 
 def _lumps(gaps: Float64[np.ndarray, "voxels 3"], voxel: float) -> Float64[np.ndarray, "_ 3"]:
@@ -65,7 +72,7 @@ def _beside(
     """Particles within `reach` [m] of any of the points."""
     if len(points) == 0:
         return np.zeros(len(positions), dtype=bool)
-    distance, _ = cKDTree(points).query(positions, distance_upper_bound=reach)
+    distance, _ = KDTree(points).query(positions, distance_upper_bound=reach)
     return np.isfinite(distance)
 
 
@@ -86,7 +93,32 @@ def _joined(
     return np.asarray(step[row, pairs[:, 1]]).ravel() > 0
 
 
-def _clusters(walls: Int64[np.ndarray, "walls 2"], count: int) -> Int64[np.ndarray, "_ 2"]:
+def _apart(
+    positions: Float64[np.ndarray, "particles 3"],
+    bonds: Int64[np.ndarray, "bonds 2"],
+    cluster: Int64[np.ndarray, "walls 2"],
+    spacing: float,
+) -> bool:
+    """Whether the two sides are separate pieces around any part of a wall.
+
+    If they join everywhere nearby, the wall is a notch: dough that wraps around an edge of a finger.
+    """
+    link = REACH * spacing
+    for rows in chunks(positions, cluster, longest=np.inf, link=link, length=CHUNK):
+        if len(rows) < FEWEST_PAIRS:
+            continue
+        core = np.unique(cluster[rows])
+        inside = _beside(positions, positions[core], LOCAL)
+        piece = connected(bonds[inside[bonds].all(axis=1)], len(positions))
+        if (piece[cluster[rows, 0]] != piece[cluster[rows, 1]]).mean() >= 0.5:
+            return True
+    return False
+
+
+def _clusters(walls: Int64[np.ndarray, "walls 2"], count: int) -> list[Int64[np.ndarray, "_ 2"]]:
     """Wall pairs that hang together in sufficient number."""
-    part = connected(walls, count)[walls[:, 0]] if len(walls) else np.zeros(0, np.int64)
-    return walls[np.bincount(part)[part] >= FEWEST_PAIRS] if len(walls) else walls
+    if len(walls) == 0:
+        return []
+    part = connected(walls, count)[walls[:, 0]]
+    sizes = np.bincount(part)
+    return [walls[part == k] for k in np.flatnonzero(sizes >= FEWEST_PAIRS)]

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from doughschemas import SEGMENT_COMPONENT, STRAY, MissingLayerError
 
 from doughdata.dataset import open_dataset, validate
+from doughschemas import SEGMENT_COMPONENT, STRAY, MissingLayerError
 from tests.conformance.make_v1 import make
 
 STORED = sorted(Path(__file__).parent.glob("v*/*/expected.json"))

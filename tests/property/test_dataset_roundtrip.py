@@ -5,6 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from doughdata.dataset import open_dataset
 from doughschemas import (
     NO_COMPONENT,
     STRAY,
@@ -14,10 +18,6 @@ from doughschemas import (
     LabelGrid,
     SceneGraph,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-from doughdata.dataset import open_dataset
 from tests.closed_form import NUM_FRAMES, cut_ring
 from tests.dataset_helpers import equal, new_writer, write_examples
 

@@ -1,11 +1,11 @@
 """The answer does not depend on the order of the particles or on where the scene lies."""
 
 import numpy as np
-from doughschemas import Action, Body, Particles, Scene, Tool, ToolPoses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doughdata.topology.dynamic import DynamicCheck
+from doughschemas import Action, Body, Particles, Scene, Tool, ToolPoses
 
 SPACING = 0.002
 

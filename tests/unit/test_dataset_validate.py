@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from doughschemas import DamagedDatasetError, DatasetError, FrameTopology, SceneGraph
 
 from doughdata.dataset import DatasetWriter, open_writer, validate
 from doughdata.dataset.arrays import ShardedArray
 from doughdata.dataset.graphs import component_count, mesh_genus, mesh_volume, mesh_watertight
+from doughschemas import DamagedDatasetError, DatasetError, FrameTopology, SceneGraph
 from tests.closed_form import cut_ring, joined_bars
 from tests.dataset_helpers import STAGES, new_writer, write_examples
 

@@ -10,7 +10,6 @@ from hashlib import sha256
 from pathlib import Path
 
 import pytest
-from doughschemas import BadInputError, DatasetError, MissingLayerError
 
 from doughdata.dataset import (
     DatasetSettings,
@@ -20,6 +19,7 @@ from doughdata.dataset import (
     open_writer,
     validate,
 )
+from doughschemas import BadInputError, DatasetError, MissingLayerError
 from tests.closed_form import NUM_FRAMES, cut_ring, joined_bars
 from tests.dataset_helpers import STAGES, equal, new_writer, write_examples
 

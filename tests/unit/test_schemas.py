@@ -5,6 +5,11 @@ import warnings
 
 import jsonschema
 import pytest
+
+from doughdata import registry
+from doughdata.dataset import open_dataset
+from doughdata.dataset.documents import dump_document, load_document
+from doughdata.scenes import scene_to_json
 from doughschemas import (
     SCHEMA_VERSION,
     DamagedDatasetError,
@@ -14,11 +19,6 @@ from doughschemas import (
 )
 from doughschemas.json_schemas import JSON_SCHEMAS, read_json_schema
 from doughschemas.migrate import check_version, migration_path
-
-from doughdata import registry
-from doughdata.dataset import open_dataset
-from doughdata.dataset.documents import dump_document, load_document
-from doughdata.scenes import scene_to_json
 from tests.dataset_helpers import LAYERS, new_writer, write_examples
 
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from doughschemas import SceneError, Tool
 
 from doughdata.scenes import PRESETS
 from doughdata.scenes.sdf import MARGIN, finger_sdf
+from doughschemas import SceneError, Tool
 
 
 def box_distance(tool: Tool, points: np.ndarray) -> np.ndarray:

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from doughschemas import Action, Tool
 
 from doughdata.scenes import PRESETS, finger_poses
 from doughdata.scenes.sdf import SignedDistanceGrid, finger_sdf
 from doughdata.sim import contact as rigid
 from doughdata.sim import kernels
 from doughdata.sim._taichi import start, ti
+from doughschemas import Action, Tool
 
 start("cpu")
 Vectors, Nodes, Scalars, Integers = (

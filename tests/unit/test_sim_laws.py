@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from doughschemas import Material, SimulationError
 
 from doughdata.sim.solver import Physics, Solver
+from doughschemas import Material, SimulationError
 
 SPACING, DX = 0.002, 0.003125
 ELASTIC = Material(yield_stress=1e9)

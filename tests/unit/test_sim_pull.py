@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from doughschemas import BadInputError
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from doughdata.sim.pull import MpmPullApart, PullConfig
 from doughdata.stages import PullApart, PullProblem
+from doughschemas import BadInputError
 
 SPACING = 0.002
 PULL = MpmPullApart(PullConfig(arch="cpu"))

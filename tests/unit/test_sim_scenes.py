@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from doughschemas import Action, BadInputError, Body, Particles, Scene, SimulationError, Tool
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
@@ -18,6 +17,16 @@ from doughdata.scenes import PRESETS, finger_poses, scene_to_json
 from doughdata.scenes.sdf import finger_sdf
 from doughdata.sim.mpm import MpmConfig, MpmSimulator, draft, fine, standard
 from doughdata.stages import Simulator
+from doughschemas import (
+    Action,
+    BadInputError,
+    Body,
+    Material,
+    Particles,
+    Scene,
+    SimulationError,
+    Tool,
+)
 
 CONFIG = MpmConfig(arch="cpu", frames=21)
 DX = CONFIG.cells * CONFIG.spacing
@@ -239,6 +248,32 @@ def test_the_same_bytes_in_another_process() -> None:
     )
     # Nothing else on stdout: a banner would break `--json`.
     assert done.stdout == digest(simulate(SMALL)) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("material", "speed"),
+    [
+        (Material(young_modulus=1e6, yield_stress=2e4), 0.05),
+        (Material(young_modulus=1e3, yield_stress=50.0), 0.05),
+        (Material(yield_stress=1e9), 0.05),
+        (Material(yield_stress=10.0), 0.05),
+        (Material(poisson_ratio=0.48), 0.05),
+        (Material(poisson_ratio=0.0), 0.05),
+        (Material(), 0.3),
+    ],
+)
+def test_the_corners_of_the_limits_are_stable(material: Material, speed: float) -> None:
+    """The stiffest, softest, most elastic and most fluid dough and the fastest finger that a scene
+    may ask for run to the end, keep their volume and leave the fingers and the table free.
+    """
+    action = replace(SMALL.actions[0], opening_end=0.002, speed=speed)
+    particles = simulate(replace(SMALL, material=material, actions=(action,)))
+    last = particles.positions[-1]
+    assert np.isfinite(last).all()
+    assert last[:, 2].min() >= 0.0
+    assert finger_distance(last, SMALL.tools[0], action, 0.002) > -0.25 * DX
+    counts = cKDTree(last).query_ball_point(last, 0.004, return_length=True)
+    assert counts.max() / (4 / 3 * np.pi * 2**3) < 1.5
 
 
 def test_dough_outside_the_domain_is_named() -> None:

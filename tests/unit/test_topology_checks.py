@@ -2,6 +2,10 @@
 
 import numpy as np
 import pytest
+
+from doughdata.topology.dynamic import DynamicCheck
+from doughdata.topology.skeletons import cycle_rank
+from doughdata.topology.static import StaticCheck
 from doughschemas import (
     STRAY,
     Action,
@@ -14,10 +18,6 @@ from doughschemas import (
     ToolPoses,
     Topology,
 )
-
-from doughdata.topology.dynamic import DynamicCheck
-from doughdata.topology.skeletons import cycle_rank
-from doughdata.topology.static import StaticCheck
 
 SPACING = 0.002
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from doughschemas import BadInputError, MissingLayerError
 from torch.utils.data import DataLoader
 
 from doughdata.dataset import open_dataset
 from doughdata.scenes import finger_mesh, finger_poses
 from doughdata.torch import DoughDataset
+from doughschemas import BadInputError, MissingLayerError
 from tests.closed_form import NUM_FRAMES, SPACING, cut_ring, joined_bars
 from tests.dataset_helpers import LAYERS, new_writer, write_examples
 

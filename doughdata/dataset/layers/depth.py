@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pyarrow as pa
-from doughschemas import BadInputError, Camera, DepthViews, Intrinsics
 
 from doughdata.dataset.arrays import ArraySpec
 from doughdata.dataset.layers.columns import frame_columns, vectors
 from doughdata.dataset.shards import Encoded, LayerShard, ShardRows
+from doughschemas import BadInputError, Camera, DepthViews, Intrinsics
 
 __all__ = ["decode_depth", "encode_depth"]
 

@@ -3,6 +3,10 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from jaxtyping import UInt32
+
+from doughdata.dataset.arrays import ArraySpec, padded_length
+from doughdata.dataset.shards import Encoded, LayerShard, ShardRows
 from doughschemas import (
     NO_COMPONENT,
     BadInputError,
@@ -10,10 +14,6 @@ from doughschemas import (
     ComponentMeshes,
     LabelGrid,
 )
-from jaxtyping import UInt32
-
-from doughdata.dataset.arrays import ArraySpec, padded_length
-from doughdata.dataset.shards import Encoded, LayerShard, ShardRows
 
 __all__ = ["decode_label_grid", "decode_meshes", "encode_mesh"]
 

@@ -5,12 +5,12 @@ from collections.abc import Mapping
 
 import numpy as np
 import pyarrow as pa
-from doughschemas import BadInputError, Particles, Scene, ToolPoses
 
 from doughdata.dataset.arrays import ArraySpec, padded_length
 from doughdata.dataset.layers.columns import frame_columns, vectors, vectors_array
 from doughdata.dataset.shards import Encoded, LayerShard, ShardRows
 from doughdata.scenes import scene_to_json
+from doughschemas import BadInputError, Particles, Scene, ToolPoses
 
 __all__ = ["decode_particles", "encode_sim"]
 

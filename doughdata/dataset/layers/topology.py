@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from doughschemas import STRAY, BadInputError, FrameTopology, SceneGraph, Topology, TopologyEvent
 
 from doughdata.dataset.arrays import ArraySpec, padded_length
 from doughdata.dataset.layers.columns import frame_columns, int_lists, vectors, vectors_array
 from doughdata.dataset.shards import Encoded, LayerShard, ShardRows
+from doughschemas import STRAY, BadInputError, FrameTopology, SceneGraph, Topology, TopologyEvent
 
 __all__ = ["decode_frame_topology", "decode_topology", "encode_topology"]
 
