@@ -3,7 +3,11 @@
 import pytest
 from jaxtyping import install_import_hook
 
-SHAPES = ("scenes", "topology", "mesh", "render", "geometry")
+# Not the kernels of doughdata.sim: Taichi reads their source.
+SHAPES = (
+    *("scenes", "topology", "mesh", "render", "geometry", "dataset", "torch"),
+    *("sim.mpm", "sim.pull", "sim.solver"),
+)
 install_import_hook([f"doughdata.{name}" for name in SHAPES], "beartype.beartype")
 
 

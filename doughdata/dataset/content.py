@@ -70,7 +70,7 @@ class ContentCheck:
                     yield from self._mesh(shard, opened)
                 else:
                     yield from self._depth(shard)
-            except DoughError as error:
+            except (DoughError, LookupError, ValueError, pa.ArrowException) as error:
                 yield Problem(file=str(shard.commit.path), message=_one_line(error))
 
     def _decodes(self, shard: LayerShard) -> Problems:

@@ -28,7 +28,7 @@ def damaged_frames(store: Store, commit: CommitRecord, name: str) -> tuple[tuple
         if array.chunk is None or (array.chunk[0] > 1):
             return ()
         return _frames_of(store, commit, rows)
-    except DoughError:
+    except (DoughError, LookupError, ValueError):
         return ()  # the index or the metadata is damaged as well
 
 

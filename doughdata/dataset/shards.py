@@ -57,7 +57,7 @@ def read_table(path: Path) -> pa.Table:
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             return file.read()
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, ValueError, pa.ArrowException) as error:  # damage shows in many ways
         raise DamagedDatasetError(f"{path} cannot be read: {error}") from error
 
 

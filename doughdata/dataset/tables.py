@@ -15,7 +15,7 @@ from doughdata.dataset.commits import CommitLog, CommitRecord
 from doughdata.dataset.info import features_of, read_info, write_info
 from doughdata.dataset.shards import read_table
 from doughdata.dataset.store import Store
-from doughschemas import SCHEMA_VERSION
+from doughschemas import SCHEMA_VERSION, DamagedDatasetError
 
 __all__ = ["TABLES", "build_info", "build_tables", "fingerprint_of", "refresh_tables"]
 
@@ -144,7 +144,12 @@ def build_tables(store: Store, log: CommitLog, *, num_frames: int) -> dict[str, 
     for shard_id in log.shards:
         commits = log.fresh(shard_id)
         shard = _Shard(store=store, id=shard_id, commits=commits, num_frames=num_frames)
-        _add_shard(parts, shard)
+        try:
+            _add_shard(parts, shard)
+        except (LookupError, ValueError, pa.ArrowException) as error:  # a column is gone
+            raise DamagedDatasetError(
+                f"{store.uri}: the tables of shard {shard_id} are damaged ({error})"
+            ) from error
     return {name: _joined(name, tables) for name, tables in parts.items()}
 
 

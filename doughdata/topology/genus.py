@@ -81,16 +81,17 @@ class _Track:
             members = self.members[frame - self.first]
             inside = np.zeros(self.positions.shape[1], dtype=bool)
             inside[members] = True
-            near = [
+            bonds, contacts = (
                 np.searchsorted(members, pairs[inside[pairs].all(axis=1)])
                 for pairs in (self.bonds[frame], self.contacts[frame])
-            ]
+            )
             x = self._at(frame, members)
             closing = Closing(x, self.spacing, largest=max(self.radii))
             solids = [closing.solid(radius) for radius in self.radii]
             walls = find_walls(
                 x,
-                *near,
+                bonds,
+                contacts,
                 closing.gaps(solids[int(np.argmax(self.radii))]),
                 spacing=self.spacing,
                 voxel=closing.size,
@@ -144,7 +145,9 @@ class _Track:
 
     def _shapes(self, genus: list[int], sure: list[bool]) -> list[Shape]:
         shapes: list[Shape] = []
-        made, skeleton, node = -1, None, np.zeros(0, np.int64)
+        made, skeleton = -1, None
+        anchor = node = np.zeros(0, np.int64)
+        start = np.zeros((0, 3))
         for offset, frame in enumerate(range(self.first, self.last + 1)):
             reading = self.readings.get(frame)
             fits = skeleton is not None and _rank(skeleton) == genus[offset]
@@ -156,12 +159,12 @@ class _Track:
                 solid = self._solid_for(frame, genus[offset])
                 skeleton, made = skeleton_of(solid), frame
                 members = self.members[offset]
-                node = KDTree(skeleton.positions).query(self._at(frame, members))[1]
                 anchor, start = members, self._at(frame, members)
+                node = np.asarray(KDTree(skeleton.positions).query(start)[1])
             moved = _node_shift(node, self._at(frame, anchor) - start, len(skeleton.positions))
             shapes.append(
                 Shape(
-                    genus=genus[offset],
+                    genus=_rank(skeleton),  # the record's graph and genus agree, sure or not
                     sure=sure[offset] and _rank(skeleton) == genus[offset],
                     nodes=skeleton.positions + moved,
                     skeleton=skeleton,

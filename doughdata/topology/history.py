@@ -204,12 +204,12 @@ class History:
             test = self._patch_test(patch)
             before = self._paths(test.problem.positions, test)
             if before < config.merged_paths:  # pulling only takes paths away
-                self._note(*_patch_key(patch), before, False, config.merged_paths)
+                self._note(*_patch_key(patch), float(before), False, config.merged_paths)
                 continue
             asked.append(patch)
             tests.append(test)
         for patch, test, pulled in zip(asked, tests, run_tests(tests, self.puller), strict=True):
-            paths = self._paths(pulled, test)
+            paths = float(self._paths(pulled, test))
             merged = paths >= config.merged_paths
             self._note(*_patch_key(patch), paths, merged, config.merged_paths)
             if merged:

@@ -70,7 +70,7 @@ def adjacency(pairs: Int64[np.ndarray, "pairs 2"], count: int) -> csr_matrix:
     """Symmetric 0/1 matrix of a set of pairs."""
     rows = np.concatenate([pairs[:, 0], pairs[:, 1]])
     columns = np.concatenate([pairs[:, 1], pairs[:, 0]])
-    return coo_matrix((np.ones(len(rows), np.float32), (rows, columns)), (count, count)).tocsr()
+    return csr_matrix((np.ones(len(rows), np.float32), (rows, columns)), (count, count))
 
 
 def connected(pairs: Int64[np.ndarray, "pairs 2"], count: int) -> Int32[np.ndarray, " particles"]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_flow
 from scipy.spatial import KDTree
 
@@ -113,7 +113,7 @@ def disjoint_paths(
     useful = (start != end) & (end != source) & (start != sink)
     start, end = start[useful], end[useful]
     size = 2 * count + 2
-    flow = coo_matrix((np.ones(len(start), np.int32), (start, end)), (size, size)).tocsr()
+    flow = csr_matrix((np.ones(len(start), np.int32), (start, end)), (size, size))
     flow.data[:] = 1  # parallel edges were summed; a particle carries one path anyway
     direct = int((first[pairs[:, 0]] & second[pairs[:, 1]]).sum())
     direct += int((second[pairs[:, 0]] & first[pairs[:, 1]]).sum())

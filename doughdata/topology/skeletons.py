@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64
-from scipy.ndimage import binary_fill_holes, label
+from scipy.ndimage import binary_fill_holes
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
+from skimage.measure import label
 from skimage.morphology import skeletonize
 
 from doughdata.topology.pairs import connected
@@ -58,8 +59,8 @@ def skeleton_of(solid: Solid, *, length: float = NODE_LENGTH, spur: float = SPUR
     Branches that end within `spur` [m] are dropped. Thinning (Lee, Kashyap and Chu 1994, in
     scikit-image) keeps handles; voids are filled first. Only the largest lump is kept.
     """
-    filled = binary_fill_holes(solid.inside)
-    lumps, number = label(filled, np.ones((3, 3, 3), dtype=bool))
+    filled = np.asarray(binary_fill_holes(solid.inside))
+    lumps, number = label(filled, connectivity=3, return_num=True)
     if number > 1:
         filled = lumps == 1 + int(np.argmax(np.bincount(lumps.ravel())[1:]))
     thin = np.argwhere(skeletonize(filled))

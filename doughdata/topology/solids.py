@@ -5,11 +5,12 @@ around the outer particles. Walls along unmerged contacts are taken out again.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.ndimage import distance_transform_edt, label
-from skimage.measure import euler_number
+from scipy.ndimage import distance_transform_edt
+from skimage.measure import euler_number, label
 
 from doughdata.topology.pairs import adjacency
 
@@ -19,7 +20,6 @@ VOXEL = 0.5  # [spacings]
 COVER = 0.75  # [spacings], of dough kept around the outer particles
 GAP = 1.3  # [spacings]; a lattice leaves no voxel farther than 0.87 from its particles
 WALL = 0.9  # [voxels], half a wall; over sqrt(3)/2, so that no diagonal passes through
-FULL = np.ones((3, 3, 3), dtype=bool)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +48,8 @@ class Closing:
         grid = np.full(2 * half + 1, -1, dtype=np.int64)
         cell = np.rint((positions - self.origin) / self.size).astype(int)
         grid[tuple(cell.T)] = np.arange(len(positions))
-        rough, place = distance_transform_edt(grid < 0, return_indices=True)
+        nearest: Any = distance_transform_edt(grid < 0, return_indices=True)
+        rough, place = nearest
         self.shape = grid.shape
         self.voxels = np.argwhere(rough * self.size < margin)
         self.particle = grid[tuple(place[:, *self.voxels.T])]
@@ -64,7 +65,7 @@ class Closing:
         """The closing with a ball of `radius` spacings."""
         inflated = np.zeros(self.shape, dtype=bool)
         inflated[tuple(self.voxels[self.distance < radius * self.spacing].T)] = True
-        depth = distance_transform_edt(inflated) * self.size
+        depth = np.asarray(distance_transform_edt(inflated)) * self.size
         return Solid(
             inside=depth > (radius - COVER) * self.spacing, origin=self.origin, size=self.size
         )
@@ -117,6 +118,6 @@ def solid_genus(inside: Bool[np.ndarray, "nx ny nz"]) -> int:
     """Number of independent handles: b1 = b0 + b2 - Euler characteristic (26-connected solid)."""
     if not inside.any():
         return 0
-    _, lumps = label(inside, FULL)
-    _, outside = label(np.pad(~inside, 1, constant_values=True))
+    _, lumps = label(inside, connectivity=3, return_num=True)
+    _, outside = label(np.pad(~inside, 1, constant_values=True), connectivity=1, return_num=True)
     return int(lumps + (outside - 1) - euler_number(inside, connectivity=3))

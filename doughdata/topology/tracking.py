@@ -48,7 +48,8 @@ def first_labels(
     """Labels of the first frame: by body, then from the largest piece to the smallest."""
 
     def key(part: Int32[np.ndarray, " _"]) -> tuple[float, ...]:
-        return (float(np.median(object_ids[part])), -len(part), *positions[part].mean(axis=0))
+        middle = positions[part].mean(axis=0).tolist()
+        return (float(np.median(object_ids[part])), -float(len(part)), *middle)
 
     return _label(len(positions), sorted(parts, key=key))
 
@@ -82,8 +83,8 @@ def next_labels(
     )
     free = [k for k in range(len(parts)) if k not in kept]
     high = sorted((old for old in kept if old >= len(parts)), reverse=True)
-    for place, row in zip(free, [*(kept.pop(old) for old in high), *fresh], strict=True):
-        kept[place] = row
+    moved = [kept.pop(old) for old in high]
+    kept |= dict(zip(free, [*moved, *fresh], strict=True))
     return _label(len(before), [parts[kept[k]] for k in range(len(parts))])
 
 
@@ -125,16 +126,16 @@ def find_events(
             kinds.append("split")
         if gain != 0:
             kinds.append("self_split" if gain < 0 and cut else "self_merge")
-        for kind in kinds:
-            events.append(
-                TopologyEvent(
-                    frame=frame,
-                    kind=kind,
-                    components_before=tuple(old),
-                    components_after=tuple(new),
-                    margin=float(margins.get(kind.removeprefix("self_"), 0.0)),
-                )
+        events += [
+            TopologyEvent(
+                frame=frame,
+                kind=kind,
+                components_before=tuple(old),
+                components_after=tuple(new),
+                margin=float(margins.get(kind.removeprefix("self_"), 0.0)),
             )
+            for kind in kinds
+        ]
     return events
 
 

@@ -7,8 +7,8 @@ they are not, the gap is real and the solid has to stay open.
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.ndimage import label
 from scipy.spatial import KDTree
+from skimage.measure import label
 
 from doughdata.topology.crops import chunks
 from doughdata.topology.pairs import adjacency, connected
@@ -49,9 +49,11 @@ def find_walls(
     pairs = chosen[pairs]
     walls = pairs[~_joined(bonds, pairs, chosen, len(positions))]
     kept = [np.zeros((0, 2), np.int64)]
-    for cluster in _clusters(walls, len(positions)):
-        if _apart(positions, bonds, cluster, spacing):
-            kept.append(np.sort(cluster, axis=1))
+    kept += [
+        np.sort(cluster, axis=1)
+        for cluster in _clusters(walls, len(positions))
+        if _apart(positions, bonds, cluster, spacing)
+    ]
     return np.concatenate(kept)
 
 
@@ -62,7 +64,7 @@ def _lumps(gaps: Float64[np.ndarray, "voxels 3"], voxel: float) -> Float64[np.nd
     index = np.rint((gaps - gaps.min(axis=0)) / voxel).astype(int)
     grid = np.zeros(index.max(axis=0) + 1, dtype=bool)
     grid[tuple(index.T)] = True
-    lump = label(grid, np.ones((3, 3, 3)))[0][tuple(index.T)]
+    lump = np.asarray(label(grid, connectivity=3))[tuple(index.T)]
     return gaps[np.bincount(lump)[lump] >= FEWEST_VOXELS]
 
 
@@ -101,7 +103,7 @@ def _apart(
 ) -> bool:
     """Whether the two sides are separate pieces around any part of a wall.
 
-    If they join everywhere nearby, the wall is a notch: dough that wraps around an edge of a finger.
+    If they join everywhere nearby, the wall is a notch: dough wrapped around an edge of a finger.
     """
     link = REACH * spacing
     for rows in chunks(positions, cluster, longest=np.inf, link=link, length=CHUNK):

@@ -120,7 +120,7 @@ def test_plain_solids(name: str, check: DynamicCheck | StaticCheck) -> None:
 
 
 def test_touching_bodies_stay_two() -> None:
-    """Two bodies placed a spacing apart are two for the dynamic check and one for the static one."""
+    """Bodies placed a spacing apart are two for the dynamic check and one for the static one."""
     x = np.concatenate([block(-0.0065), block(0.0065, seed=1)])
     ids = np.repeat([0, 1], len(x) // 2).astype(np.uint8)
     topology = DynamicCheck(pull_apart=_Rigid()).check(*record(x, ids=ids))
