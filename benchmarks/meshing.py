@@ -10,11 +10,11 @@ import json
 import time
 
 import numpy as np
-from doughschemas import ComponentMesh, FrameTopology, SceneGraph
 
 from doughdata import registry
 from doughdata.mesh.checks import is_edge_manifold, is_vertex_manifold, mesh_volume
 from doughdata.stages import Mesher
+from doughschemas import ComponentMesh, FrameTopology, SceneGraph
 
 SPACING = 0.002  # [m]
 Cloud = np.ndarray

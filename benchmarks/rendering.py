@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from doughschemas import Action, Camera, ComponentMesh, Intrinsics
 
 from doughdata.geometry import pixel_rays, quaternion_to_matrix, transform_points
 from doughdata.registry import load
 from doughdata.render.cameras import default_camera
 from doughdata.render.depth import DepthRenderer, quantised
 from doughdata.scenes.tools import finger_mesh, finger_poses, tool_preset
+from doughschemas import Action, Camera, ComponentMesh, Intrinsics
 
 SENSORS = ("none", "realsense", "blenderproc")
 

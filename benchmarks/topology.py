@@ -10,6 +10,7 @@ import math
 import time
 
 import numpy as np
+
 from doughdata.scenes.tools import PRESETS
 from doughdata.sim.mpm import MpmSimulator
 from doughdata.sim.pull import MpmPullApart

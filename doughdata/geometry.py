@@ -5,8 +5,9 @@ Quaternions are xyzw. Camera frame: optical (x right, y down, z forward); depth 
 """
 
 import numpy as np
-from doughschemas import Camera, Intrinsics
 from jaxtyping import Bool, Float, Float64
+
+from doughschemas import Camera, Intrinsics
 
 __all__ = [
     "matrix_to_quaternion",

@@ -6,14 +6,13 @@ commit. Stopping anywhere loses at most the shards in work; the same call goes o
 
 from collections.abc import Mapping, Sequence
 
-from doughschemas import MissingLayerError, Scene
-
 from doughdata.dataset import DatasetSettings, DatasetWriter, Shard, open_dataset, open_writer
 from doughdata.render.depth import DepthStage
 from doughdata.requests import FamilyScenes, Listener, Silent, Stages, Summary
 from doughdata.shard_run import over_shards
 from doughdata.shard_tasks import RenderShard, ShardStage, stage_record
 from doughdata.stages import Executor, Sensor
+from doughschemas import MissingLayerError, Scene
 
 __all__ = ["generate", "plan", "render"]
 

@@ -5,13 +5,13 @@ from dataclasses import asdict, dataclass, is_dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from doughschemas import ComponentMeshes, DatasetError, MissingPackageError, Scene
 
 from doughdata import registry
 from doughdata.dataset import CommitRecord, Dataset, DatasetWriter, StageRecord, Task, open_dataset
 from doughdata.render.depth import DepthStage
 from doughdata.seeds import seed_sequence
 from doughdata.stages import Sensor
+from doughschemas import ComponentMeshes, DatasetError, MissingPackageError, Scene
 
 __all__ = ["RenderShard", "ShardStage", "ShardWork", "stage_record"]
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int8, UInt8
+
 from doughschemas import (
     Camera,
     ComponentMeshes,
@@ -17,7 +19,6 @@ from doughschemas import (
     Scene,
     Topology,
 )
-from jaxtyping import Bool, Float32, Float64, Int8, UInt8
 
 __all__ = [
     "DepthImage",

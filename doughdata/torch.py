@@ -5,6 +5,7 @@ scene, frame and view alone, never on the number of workers.
 """
 
 from collections.abc import Collection
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -73,7 +74,7 @@ class DoughDataset(Dataset[dict[str, Tensor]]):
 
     def __init__(
         self,
-        uri: str,
+        uri: str | Path,
         *,
         sensor: str = "realsense",
         split: str | None = None,

@@ -8,9 +8,9 @@ from functools import wraps
 from typing import Any
 
 import typer
-from doughschemas import BadInputError, DoughError
 
 from doughcli import generate, info, plugins, render, scenes, stats, validate, view
+from doughschemas import BadInputError, DoughError
 
 __all__ = ["app", "main"]
 

@@ -4,10 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from doughschemas import BadInputError, Scene, UnknownNameError
-
 from doughdata import registry
 from doughdata.requests import FamilyScenes, Stages
+from doughschemas import BadInputError, Scene, UnknownNameError
 
 __all__ = ["build_executor", "build_sensors", "build_stages", "wanted_scenes"]
 

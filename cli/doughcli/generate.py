@@ -136,9 +136,8 @@ def shard_size(uri: str, total: int) -> int | None:
 
 def scene_ids(wanted: list) -> list[str]:
     """Ids of everything that is asked for."""
-    from doughschemas import Scene
-
     from doughdata import registry
+    from doughschemas import Scene
 
     ids = [entry.scene_id for entry in wanted if isinstance(entry, Scene)]
     for entry in wanted:

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from doughschemas import BadInputError
 
 from doughcli.options import DATASET_DEFAULT, DatasetOption
+from doughschemas import BadInputError
 
 __all__ = ["command"]
 

@@ -10,6 +10,7 @@ import os
 from bisect import bisect_right
 from collections import OrderedDict
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -64,7 +65,7 @@ class Dataset:
     Every process opens the files for itself when it first reads.
     """
 
-    def __init__(self, uri: str | Store) -> None:
+    def __init__(self, uri: str | Path | Store) -> None:
         self._store = store_of(uri)
         self._opened: dict[int, _Opened] = {}
         _ = self._here  # so that a wrong path is reported here, not at the first read
@@ -253,7 +254,7 @@ def command_for(layer: str) -> str:
     return f"doughdata render --noise {layer.partition('.')[2]}"
 
 
-def open_dataset(uri: str | Store) -> Dataset:
+def open_dataset(uri: str | Path | Store) -> Dataset:
     """Open a dataset for reading.
 
     Raises:

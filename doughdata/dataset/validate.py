@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Iterator, Mapping
 from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 from doughdata.dataset.commits import CommitLog, CommitRecord, list_layers, read_commit
@@ -26,7 +27,7 @@ Progress = Callable[[int, int], None]  # shards done, shards in all
 
 
 def validate(
-    uri: str | Store, *, deep: bool = False, on_progress: Progress | None = None
+    uri: str | Path | Store, *, deep: bool = False, on_progress: Progress | None = None
 ) -> Report:
     """Check a dataset.
 

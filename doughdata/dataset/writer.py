@@ -6,6 +6,7 @@ commit record is published. A crash leaves an attempt without a commit, which no
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
@@ -231,7 +232,7 @@ class DatasetWriter:
         raise DatasetError(f"{self.uri}: shard {shard} is not planned")
 
 
-def open_writer(uri: str | Store, settings: DatasetSettings | None = None) -> DatasetWriter:
+def open_writer(uri: str | Path | Store, settings: DatasetSettings | None = None) -> DatasetWriter:
     """Open a dataset for writing; with settings it is made if it is not there.
 
     Raises:

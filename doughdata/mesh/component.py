@@ -8,13 +8,13 @@ then other closing radii are tried, and the nearest genus wins. Lengths are in c
 from dataclasses import dataclass
 
 import numpy as np
-from doughschemas import NO_COMPONENT
 from jaxtyping import Float, Float32, Int, UInt8
 
 from doughdata.mesh.distance import closing_field, level_for_volume
 from doughdata.mesh.lumps import bridge_lumps, drop_lumps, fill_cavities
 from doughdata.mesh.repair import make_well_composed, separate, well_composed_genus
 from doughdata.mesh.walls import carve_gaps, cut_slits, seams_of
+from doughschemas import NO_COMPONENT
 
 __all__ = ["SolidConfig", "component_field", "tidy"]
 

@@ -3,13 +3,13 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from doughschemas import ComponentMesh, ComponentMeshes, FrameTopology
 from jaxtyping import Float32
 
 from doughdata.mesh.component import SolidConfig
 from doughdata.mesh.contour import contour
 from doughdata.mesh.labels import label_grid
 from doughdata.mesh.solid import build_solid
+from doughschemas import ComponentMesh, ComponentMeshes, FrameTopology
 
 __all__ = ["DualContouring", "DualContouringConfig"]
 

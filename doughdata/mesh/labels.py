@@ -1,10 +1,10 @@
 """The label grid: which component holds each node of a world-fixed lattice."""
 
 import numpy as np
-from doughschemas import NO_COMPONENT, LabelGrid
 from jaxtyping import Float, Float32, Int
 
 from doughdata.mesh.solid import Solid, shifted_field
+from doughschemas import NO_COMPONENT, LabelGrid
 
 __all__ = ["label_grid"]
 

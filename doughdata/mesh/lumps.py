@@ -1,10 +1,10 @@
 """One closed shell a component: lumps bridged or dropped, hollows filled, nothing left empty."""
 
 import numpy as np
-from doughschemas import NO_COMPONENT
 from jaxtyping import Float, Float32, Int, UInt8
 
 from doughdata.registry import require_package
+from doughschemas import NO_COMPONENT
 
 __all__ = ["bridge_lumps", "drop_lumps", "fill_cavities", "seed_missing"]
 

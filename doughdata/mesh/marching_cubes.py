@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from doughschemas import NO_COMPONENT, ComponentMesh, ComponentMeshes, FrameTopology
 from jaxtyping import Float32, Float64, Int
 
 from doughdata.mesh.checks import mesh_area, mesh_volume
@@ -11,6 +10,7 @@ from doughdata.mesh.component import SolidConfig
 from doughdata.mesh.labels import label_grid
 from doughdata.mesh.solid import Solid, build_solid, shifted_field
 from doughdata.registry import require_package
+from doughschemas import NO_COMPONENT, ComponentMesh, ComponentMeshes, FrameTopology
 
 __all__ = ["MarchingCubes", "MarchingCubesConfig"]
 

@@ -7,10 +7,10 @@ vertex a cell makes an edge- and vertex-manifold surface.
 """
 
 import numpy as np
-from doughschemas import NO_COMPONENT
 from jaxtyping import Bool, Float32, Int, UInt8
 
 from doughdata.registry import require_package
+from doughschemas import NO_COMPONENT
 
 __all__ = ["CORNERS", "cell_codes", "make_well_composed", "separate", "well_composed_genus"]
 

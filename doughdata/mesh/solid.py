@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from doughschemas import NO_COMPONENT, BadInputError, FrameTopology
 from jaxtyping import Float, Float32, Float64, Int, Int64, UInt8
 
 from doughdata.mesh.component import SolidConfig, component_field, tidy
 from doughdata.mesh.lumps import seed_missing
+from doughschemas import NO_COMPONENT, BadInputError, FrameTopology
 
 __all__ = ["Solid", "build_solid", "shifted_field"]
 

@@ -3,9 +3,8 @@
 import re
 from typing import Any
 
-from doughschemas import DoughError, MissingPackageError
-
 from doughdata.registry import require_package
+from doughschemas import DoughError, MissingPackageError
 
 __all__ = ["MissingLibraryError", "import_open3d", "system_library_error"]
 

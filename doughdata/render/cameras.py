@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from doughschemas import BadInputError, Camera, Intrinsics
 
 from doughdata.geometry import (
     matrix_to_quaternion,
     quaternion_to_matrix,
     rotation_vector_to_matrix,
 )
+from doughschemas import BadInputError, Camera, Intrinsics
 
 __all__ = [
     "camera_from_json",

@@ -6,6 +6,14 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
+from jaxtyping import Float, Float32, UInt16
+
+from doughdata.geometry import pixel_rays, quaternion_to_matrix, transform_points
+from doughdata.render._open3d import import_open3d
+from doughdata.render.cameras import default_camera, jittered
+from doughdata.scenes.tools import finger_mesh
+from doughdata.seeds import seed_sequence
+from doughdata.stages import DepthImage, Sensor
 from doughschemas import (
     SEGMENT_COMPONENT,
     SEGMENT_NONE,
@@ -20,14 +28,6 @@ from doughschemas import (
     Scene,
     ToolPoses,
 )
-from jaxtyping import Float, Float32, UInt16
-
-from doughdata.geometry import pixel_rays, quaternion_to_matrix, transform_points
-from doughdata.render._open3d import import_open3d
-from doughdata.render.cameras import default_camera, jittered
-from doughdata.scenes.tools import finger_mesh
-from doughdata.seeds import seed_sequence
-from doughdata.stages import DepthImage, Sensor
 
 __all__ = ["TRAINING_FRAMES", "DepthRenderer", "DepthStage", "RenderConfig", "quantised"]
 

@@ -1,9 +1,9 @@
 """A doughnut: g = 1 may become 0 or 2, and it may fall into pieces."""
 
 import numpy as np
-from doughschemas import Action, Body, Scene
 
 from doughdata.scenes.sampling import between, sample_action, sample_scene
+from doughschemas import Action, Body, Scene
 
 __all__ = ["Doughnut"]
 

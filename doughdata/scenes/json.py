@@ -6,10 +6,9 @@ from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import Any
 
-from doughschemas import SCHEMA_VERSION, Action, Body, Material, Scene, SceneError, Tool
-
 from doughdata.scenes.limits import check_scene
 from doughdata.scenes.tools import tool_preset
+from doughschemas import SCHEMA_VERSION, Action, Body, Material, Scene, SceneError, Tool
 
 __all__ = ["read_scenes", "scene_from_json", "scene_to_json"]
 

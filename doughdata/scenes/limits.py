@@ -3,11 +3,11 @@
 from itertools import permutations
 
 import numpy as np
-from doughschemas import Action, Body, Scene, SceneError
 from jaxtyping import Float64
 
 from doughdata.scenes.shapes import shape_of
 from doughdata.scenes.shapes.base import require_range
+from doughschemas import Action, Body, Scene, SceneError
 
 __all__ = ["WORKSPACE", "check_scene", "surface_points"]
 

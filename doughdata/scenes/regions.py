@@ -6,6 +6,7 @@ middle and a band at both ends; test scenes come from the gap (interpolation) or
 """
 
 import numpy as np
+
 from doughschemas import BadInputError
 
 __all__ = ["REGIONS", "sample_region", "sample_scale"]

@@ -1,9 +1,9 @@
 """Two rolls of dough side by side: c = 2 may become 1, 2, 3 or 4."""
 
 import numpy as np
-from doughschemas import Action, Body, Scene
 
 from doughdata.scenes.sampling import between, sample_action, sample_scene
+from doughschemas import Action, Body, Scene
 
 __all__ = ["Rolls"]
 

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from doughschemas import Action, Body, Scene, SceneError, Tool
 
 from doughdata.scenes.limits import check_scene
 from doughdata.scenes.regions import sample_region, sample_scale
 from doughdata.scenes.tools import PRESETS
 from doughdata.seeds import seed_sequence
+from doughschemas import Action, Body, Scene, SceneError, Tool
 
 __all__ = ["between", "sample_action", "sample_scene", "sample_tool"]
 

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from doughschemas import Action, SceneError, Tool, UnknownNameError
 from jaxtyping import Float64
 
 from doughdata.registry import require_package
+from doughschemas import Action, SceneError, Tool, UnknownNameError
 
 if TYPE_CHECKING:
     import trimesh

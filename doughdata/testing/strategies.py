@@ -1,13 +1,15 @@
 """Strategies that draw physically valid records: every one passes `check_scene`."""
 
-from doughschemas import Action, Body, Material, Scene, Tool
 from hypothesis import strategies as st
+
+from doughschemas import Action, Body, Material, Scene, Tool
 
 __all__ = ["actions", "bodies", "materials", "scenes", "tools"]
 
 
 def _within(low: float, high: float) -> st.SearchStrategy[float]:
-    return st.floats(low, high, allow_nan=False, allow_infinity=False)
+    # No subnormal numbers: a library built with fast maths may flush them to zero.
+    return st.floats(low, high, allow_nan=False, allow_infinity=False, allow_subnormal=False)
 
 
 def materials() -> st.SearchStrategy[Material]:

@@ -49,7 +49,7 @@ class DynamicConfig:
     pull_speed: float = 0.25  # [m/s], each side
     path_radius: float = 2.25  # steps of a path between the driven ends
     merged_paths: float = 5.0  # at least so many disjoint paths: one piece
-    split_paths: float = 5.0  # fewer, in units of resting dough: parted
+    split_paths: float = 3.5  # fewer, in units of resting dough: parted
     neck_gate: float = 0.6  # of the thickness beside it, below which a neck is tested
     same_place: float = 0.004  # [m], between two tests of one patch
     grown: float = 1.3  # a patch is tested again when it has grown by this factor

@@ -3,6 +3,7 @@
 import itertools
 from collections import Counter
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64
@@ -60,8 +61,8 @@ def skeleton_of(solid: Solid, *, length: float = NODE_LENGTH, spur: float = SPUR
     scikit-image) keeps handles; voids are filled first. Only the largest lump is kept.
     """
     filled = np.asarray(binary_fill_holes(solid.inside))
-    lumps, number = label(filled, connectivity=3, return_num=True)
-    if number > 1:
+    lumps: Any = label(filled, connectivity=3)
+    if lumps.max() > 1:
         filled = lumps == 1 + int(np.argmax(np.bincount(lumps.ravel())[1:]))
     thin = np.argwhere(skeletonize(filled))
     if len(thin) == 0:

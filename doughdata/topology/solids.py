@@ -118,6 +118,6 @@ def solid_genus(inside: Bool[np.ndarray, "nx ny nz"]) -> int:
     """Number of independent handles: b1 = b0 + b2 - Euler characteristic (26-connected solid)."""
     if not inside.any():
         return 0
-    _, lumps = label(inside, connectivity=3, return_num=True)
-    _, outside = label(np.pad(~inside, 1, constant_values=True), connectivity=1, return_num=True)
-    return int(lumps + (outside - 1) - euler_number(inside, connectivity=3))
+    lumps: Any = label(inside, connectivity=3)
+    outside: Any = label(np.pad(~inside, 1, constant_values=True), connectivity=1)
+    return int(lumps.max() + (outside.max() - 1) - euler_number(inside, connectivity=3))

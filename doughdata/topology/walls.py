@@ -5,6 +5,8 @@ bonded to each other over a few steps, that is right: a fold, the rim of a seam,
 they are not, the gap is real and the solid has to stay open.
 """
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import KDTree
@@ -64,7 +66,8 @@ def _lumps(gaps: Float64[np.ndarray, "voxels 3"], voxel: float) -> Float64[np.nd
     index = np.rint((gaps - gaps.min(axis=0)) / voxel).astype(int)
     grid = np.zeros(index.max(axis=0) + 1, dtype=bool)
     grid[tuple(index.T)] = True
-    lump = np.asarray(label(grid, connectivity=3))[tuple(index.T)]
+    lumps: Any = label(grid, connectivity=3)
+    lump = lumps[tuple(index.T)]
     return gaps[np.bincount(lump)[lump] >= FEWEST_VOXELS]
 
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from doughschemas import BadInputError, TopologyEvent
 
 from doughdata.registry import require_package
 from doughdata.view.panels import (
@@ -17,6 +16,7 @@ from doughdata.view.panels import (
     draw_particles,
 )
 from doughdata.view.projection import View
+from doughschemas import BadInputError, TopologyEvent
 
 __all__ = ["SceneStrip", "draw_sheet"]
 

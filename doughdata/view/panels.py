@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from doughschemas import SEGMENT_COMPONENT, SEGMENT_TOOL, STRAY, ComponentMesh, FrameTopology
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from doughdata.registry import require_package
 from doughdata.view.projection import View, convex_outline, shaded_faces
+from doughschemas import SEGMENT_COMPONENT, SEGMENT_TOOL, STRAY, ComponentMesh, FrameTopology
 
 __all__ = [
     "COLOURS",

@@ -5,6 +5,12 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from jaxtyping import Float64
+
+from doughdata.geometry import transform_points
+from doughdata.scenes.tools import finger_mesh
+from doughdata.view.layout import SceneStrip, draw_sheet
+from doughdata.view.panels import Picture
 from doughschemas import (
     BadInputError,
     DepthViews,
@@ -15,12 +21,6 @@ from doughschemas import (
     Topology,
     TopologyEvent,
 )
-from jaxtyping import Float64
-
-from doughdata.geometry import transform_points
-from doughdata.scenes.tools import finger_mesh
-from doughdata.view.layout import SceneStrip, draw_sheet
-from doughdata.view.panels import Picture
 
 __all__ = ["SheetDataset", "save_sheet"]
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from doughschemas import STRAY, FrameTopology, SceneGraph
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doughdata.mesh.checks import is_edge_manifold, is_vertex_manifold, mesh_volume
 from doughdata.mesh.dual_contouring import DualContouring
 from doughdata.mesh.marching_cubes import MarchingCubes
+from doughschemas import STRAY, FrameTopology, SceneGraph
 
 SPACING = 0.002
 MESHERS = [DualContouring, MarchingCubes]

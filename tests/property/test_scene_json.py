@@ -2,11 +2,11 @@
 
 import json
 
-from doughschemas import Scene
 from hypothesis import given, settings
 
 from doughdata.scenes import check_scene, scene_from_json, scene_to_json
 from doughdata.testing import scenes
+from doughschemas import Scene
 
 
 @settings(max_examples=40, deadline=None)

@@ -2,8 +2,9 @@
 
 import pickle
 
-import doughschemas
 import pytest
+
+import doughschemas
 from doughdata.render._open3d import MissingLibraryError
 from doughschemas import DoughError, MissingPackageError, UnknownNameError
 

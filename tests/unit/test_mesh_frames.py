@@ -4,14 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from doughschemas import (
-    NO_COMPONENT,
-    STRAY,
-    BadInputError,
-    ComponentMeshes,
-    FrameTopology,
-    SceneGraph,
-)
 from scipy.spatial import cKDTree
 
 from doughdata import registry
@@ -25,6 +17,14 @@ from doughdata.mesh.checks import (
 from doughdata.mesh.dual_contouring import DualContouring
 from doughdata.mesh.marching_cubes import MarchingCubes
 from doughdata.stages import Mesher
+from doughschemas import (
+    NO_COMPONENT,
+    STRAY,
+    BadInputError,
+    ComponentMeshes,
+    FrameTopology,
+    SceneGraph,
+)
 
 SPACING = 0.002
 MESHERS = [DualContouring, MarchingCubes]

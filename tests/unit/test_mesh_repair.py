@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import skimage.measure
-from doughschemas import NO_COMPONENT
 from scipy import ndimage
 
 from doughdata.mesh.lumps import bridge_lumps, drop_lumps, fill_cavities, seed_missing
 from doughdata.mesh.repair import make_well_composed, separate, well_composed_genus
+from doughschemas import NO_COMPONENT
 
 EVERY = np.ones((3, 3, 3), bool)
 

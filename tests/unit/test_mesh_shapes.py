@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import skimage.measure
 import trimesh
-from doughschemas import ComponentMesh, ComponentMeshes, FrameTopology, SceneGraph
 
 from doughdata.mesh.contour import contour
 from doughdata.mesh.dual_contouring import DualContouring
 from doughdata.mesh.marching_cubes import MarchingCubes
 from doughdata.mesh.solid import Solid as LabelledSolid
+from doughschemas import ComponentMesh, ComponentMeshes, FrameTopology, SceneGraph
 
 SPACING = 0.002
 

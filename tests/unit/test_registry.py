@@ -1,10 +1,10 @@
 """Plug-ins."""
 
 import pytest
-from doughschemas import MissingPackageError, UnknownNameError
 
 from doughdata import registry
 from doughdata.stages import Mesher, SceneFamily, Sensor, Shape, Simulator, TopologyCheck
+from doughschemas import MissingPackageError, UnknownNameError
 
 PROTOCOLS = {
     "scenes": SceneFamily,

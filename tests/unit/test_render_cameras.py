@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from doughschemas import BadInputError, Intrinsics
 
 from doughdata.geometry import pixel_rays, project, quaternion_to_matrix
 from doughdata.render.cameras import (
@@ -21,6 +20,7 @@ from doughdata.render.cameras import (
     read_camera,
     scaled,
 )
+from doughschemas import BadInputError, Intrinsics
 
 SMALL = Intrinsics(width=64, height=48, fx=60.0, fy=61.0, cx=31.0, cy=24.0)
 

@@ -7,6 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+
+from doughdata.geometry import pixel_rays, points_from_depth, quaternion_to_matrix
+from doughdata.render._open3d import system_library_error
+from doughdata.render.cameras import default_camera, jittered, look_at
+from doughdata.render.depth import DepthRenderer, DepthStage, RenderConfig, quantised
+from doughdata.render.sensors.blenderproc import BlenderProc
+from doughdata.render.sensors.none import NoNoise
+from doughdata.render.sensors.realsense import RealSense
+from doughdata.scenes.tools import finger_poses, tool_preset
+from doughdata.stages import DepthImage
 from doughschemas import (
     SEGMENT_COMPONENT,
     SEGMENT_NONE,
@@ -25,16 +35,6 @@ from doughschemas import (
     Tool,
     ToolPoses,
 )
-
-from doughdata.geometry import pixel_rays, points_from_depth, quaternion_to_matrix
-from doughdata.render._open3d import system_library_error
-from doughdata.render.cameras import default_camera, jittered, look_at
-from doughdata.render.depth import DepthRenderer, DepthStage, RenderConfig, quantised
-from doughdata.render.sensors.blenderproc import BlenderProc
-from doughdata.render.sensors.none import NoNoise
-from doughdata.render.sensors.realsense import RealSense
-from doughdata.scenes.tools import finger_poses, tool_preset
-from doughdata.stages import DepthImage
 
 SMALL = Intrinsics(width=160, height=120, fx=150.0, fy=152.0, cx=80.3, cy=58.9)
 EMPTY = ComponentMesh(vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.uint32))

@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from doughschemas import Action, Body, Scene, SceneError, Tool, UnknownNameError
 
 from doughdata import registry
 from doughdata.scenes import (
@@ -20,6 +19,7 @@ from doughdata.scenes import (
     shape_of,
 )
 from doughdata.scenes.regions import REGIONS
+from doughschemas import Action, Body, Scene, SceneError, Tool, UnknownNameError
 
 FAMILIES = {"rolls": (0.008, 0.014, "radius"), "doughnut": (0.018, 0.030, "ring_radius")}
 

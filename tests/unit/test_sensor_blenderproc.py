@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from doughschemas import SEGMENT_TABLE
 
 from doughdata.registry import load, names
 from doughdata.render.cameras import default_camera
 from doughdata.render.sensors.blenderproc import BlenderProc, BlenderProcConfig
 from doughdata.render.sensors.none import NoNoise
 from doughdata.stages import DepthImage, Sensor
+from doughschemas import SEGMENT_TABLE
 
 CAMERA = default_camera()
 QUIET = {"sigma": 0.0, "sigma_slope": 0.0}

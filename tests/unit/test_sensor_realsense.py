@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import trimesh
-from doughschemas import SEGMENT_TABLE, Camera, ComponentMesh, Intrinsics
 
 from doughdata.geometry import points_from_depth, project, quaternion_to_matrix
 from doughdata.render.cameras import default_camera
@@ -15,6 +14,7 @@ from doughdata.render.sensors.realsense import (
     hidden_from_second_camera,
 )
 from doughdata.stages import DepthImage
+from doughschemas import SEGMENT_TABLE, Camera, ComponentMesh, Intrinsics
 
 # Measured on real table tops at 640 x 480, f = 616 px: distance [m], standard deviation [mm].
 MEASURED = [(0.40, 0.34), (0.50, 0.46), (0.60, 0.59), (0.70, 0.73), (0.82, 1.01)]

@@ -135,12 +135,12 @@ class _Rigid:
     """Drives every particle with the nearest end, as if nothing held the sides together."""
 
     def pull_apart(self, problems):
-        from scipy.spatial import cKDTree
+        from scipy.spatial import KDTree
 
         found = []
         for problem in problems:
             driven = np.flatnonzero(problem.handles)
-            nearest = driven[cKDTree(problem.positions[driven]).query(problem.positions)[1]]
+            nearest = driven[KDTree(problem.positions[driven]).query(problem.positions)[1]]
             sign = np.where(problem.handles[nearest] == 2, 1.0, -1.0)
             step = sign[:, None] * problem.direction * problem.distance
             found.append(problem.positions + step)

@@ -6,6 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+
+from doughdata.dataset import open_dataset
+from doughdata.dataset.commits import StageRecord
+from doughdata.dataset.info import DatasetSettings
+from doughdata.dataset.writer import DatasetWriter, open_writer
+from doughdata.render.depth import DepthStage, RenderConfig
+from doughdata.render.sensors.realsense import RealSense
+from doughdata.scenes.tools import finger_poses, tool_preset
+from doughdata.view.layout import SceneStrip, draw_sheet
+from doughdata.view.panels import COLOURS, INVALID, Picture, depth_crop
+from doughdata.view.sheet import save_sheet
 from doughschemas import (
     STRAY,
     Action,
@@ -22,17 +33,6 @@ from doughschemas import (
     Topology,
     TopologyEvent,
 )
-
-from doughdata.dataset import open_dataset
-from doughdata.dataset.commits import StageRecord
-from doughdata.dataset.info import DatasetSettings
-from doughdata.dataset.writer import DatasetWriter, open_writer
-from doughdata.render.depth import DepthStage, RenderConfig
-from doughdata.render.sensors.realsense import RealSense
-from doughdata.scenes.tools import finger_poses, tool_preset
-from doughdata.view.layout import SceneStrip, draw_sheet
-from doughdata.view.panels import COLOURS, INVALID, Picture, depth_crop
-from doughdata.view.sheet import save_sheet
 
 FRAMES, CUT = 6, 4  # key frames, and the one in which the ring falls apart
 RING, TUBE = 0.0225, 0.0075  # [m]

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from doughschemas import Camera
 from jaxtyping import Float, Float32
 
 from doughdata.registry import require_package
 from doughdata.stages import DepthImage
+from doughschemas import Camera
 
 __all__ = ["BlenderProc", "BlenderProcConfig"]
 

@@ -1,10 +1,10 @@
 """The ideal sensor."""
 
 import numpy as np
-from doughschemas import Camera
 from jaxtyping import Float32
 
 from doughdata.stages import DepthImage
+from doughschemas import Camera
 
 __all__ = ["NoNoise"]
 

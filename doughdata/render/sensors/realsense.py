@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from doughschemas import Camera
 from jaxtyping import Bool, Float32
 
 from doughdata.registry import require_package
 from doughdata.stages import DepthImage
+from doughschemas import Camera
 
 __all__ = ["RealSense", "RealSenseConfig", "correlated_field", "hidden_from_second_camera"]
 

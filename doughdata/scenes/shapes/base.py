@@ -3,10 +3,9 @@
 from dataclasses import fields
 from typing import Any
 
-from doughschemas import Body, SceneError
-
 from doughdata import registry
 from doughdata.stages import Shape
+from doughschemas import Body, SceneError
 
 __all__ = ["require_range", "shape_of"]
 

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from doughschemas import SceneError
 from jaxtyping import Bool, Float64
 
 from doughdata.scenes.shapes.base import require_range
+from doughschemas import SceneError
 
 __all__ = ["Ring"]
 
