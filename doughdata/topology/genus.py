@@ -1,7 +1,7 @@
 """Genus and scene graph of every component in every key frame, from its solid.
 
 A genus is read at few key frames and only looked at more closely where two readings differ. A
-change that lasts for one or two key frames is a flicker: it is smoothed and marked.
+change that lasts for less than four key frames is a flicker: it is smoothed and marked.
 """
 
 import itertools
@@ -23,7 +23,7 @@ __all__ = ["Shape", "read_shapes", "scene_graph"]
 STILL = 0.1  # [spacings]; a component that moved less than this keeps its shape
 RETHIN = 2.0  # [spacings]; a component that moved more than this gets a new skeleton
 STRIDE = 4  # key frames between two readings that agree
-FLICKER = 3  # key frames; a shorter change is smoothed
+FLICKER = 4  # key frames; a shorter change is smoothed
 SAME = 0.02  # share of particles that a component may lose or win and be the same
 
 

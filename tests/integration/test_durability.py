@@ -8,18 +8,11 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 
 from tests.integration.conftest import FRAMES, command
-
-
-def hashes(folder: Path) -> dict[str, str]:
-    return {
-        str(p.relative_to(folder)): sha256(p.read_bytes()).hexdigest()
-        for p in sorted(folder.rglob("*"))
-        if p.is_file()
-    }
 
 
 def committed(dataset: Path) -> dict[str, str]:
@@ -33,29 +26,30 @@ def committed(dataset: Path) -> dict[str, str]:
     return found
 
 
+def started(arguments: tuple, cwd: Path, until: Callable[[Path], object]) -> subprocess.Popen[str]:
+    """Start `doughdata` in a process group of its own and wait until its dataset is so far."""
+    process = subprocess.Popen(
+        [str(Path(sys.executable).with_name("doughdata")), *map(str, arguments)],
+        cwd=cwd,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    while not until(cwd / "dough-dataset"):
+        assert process.poll() is None, f"ended too early: {process.communicate()}"
+        time.sleep(0.01)
+    return process
+
+
 def test_kill_nine_then_the_same_command(tiny_scenes: Path, tmp_path: Path) -> None:
     """After SIGKILL in the middle, the same command keeps finished shards and makes the rest."""
-    arguments = [
-        "generate",
-        "--scenes",
-        str(tiny_scenes),
-        "--frames",
-        str(FRAMES),
-        "--executor",
-        "serial",
-    ]
-    process = subprocess.Popen(
-        [str(Path(sys.executable).with_name("doughdata")), *arguments],
-        cwd=tmp_path,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    options = ("--frames", FRAMES, "--executor", "serial")
+    arguments = ("generate", "--scenes", tiny_scenes, *options)
+    process = started(arguments, tmp_path, lambda d: list(d.glob("meta/commits/sim/*.json")))
+    process.kill()
+    process.communicate()
     dataset = tmp_path / "dough-dataset"
-    while not list(dataset.glob("meta/commits/sim/*.json")):
-        assert process.poll() is None, "the run ended before it could be killed"
-        time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
     before = committed(dataset)
     assert before
     done = command(*arguments, "--json", cwd=tmp_path)
@@ -122,27 +116,8 @@ def test_a_byte_inside_a_frame_names_the_frame(tiny_dataset: Path, tmp_path: Pat
 
 def test_ctrl_c_is_told_in_one_line(tiny_scenes: Path, tmp_path: Path) -> None:
     """SIGINT to the whole process group, as a terminal sends it: one line and no traceback."""
-    arguments = [
-        "generate",
-        "--scenes",
-        str(tiny_scenes),
-        "--frames",
-        str(FRAMES),
-        "--workers",
-        "2",
-    ]
-    process = subprocess.Popen(
-        [str(Path(sys.executable).with_name("doughdata")), *arguments],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    dataset = tmp_path / "dough-dataset"
-    while not (dataset / "meta" / "plans").exists():
-        assert process.poll() is None, process.stderr
-        time.sleep(0.05)
+    arguments = ("generate", "--scenes", tiny_scenes, "--frames", FRAMES, "--workers", 2)
+    process = started(arguments, tmp_path, lambda d: (d / "meta" / "plans").exists())
     time.sleep(1.0)
     os.killpg(process.pid, signal.SIGINT)
     _, error = process.communicate(timeout=60)
