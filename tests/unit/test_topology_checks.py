@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from doughdata.sim.pull import MpmPullApart
 from doughdata.topology.dynamic import DynamicCheck
 from doughdata.topology.skeletons import cycle_rank
 from doughdata.topology.static import StaticCheck
@@ -123,7 +124,7 @@ def test_touching_bodies_stay_two() -> None:
     """Bodies placed a spacing apart are two for the dynamic check and one for the static one."""
     x = np.concatenate([block(-0.0065), block(0.0065, seed=1)])
     ids = np.repeat([0, 1], len(x) // 2).astype(np.uint8)
-    topology = DynamicCheck(pull_apart=_Rigid()).check(*record(x, ids=ids))
+    topology = DynamicCheck(pull_apart=MpmPullApart()).check(*record(x, ids=ids))
     assert topology.frames[0].num_components == 2
     assert len(topology.frames[0].contacts) > 20
     sides = ids[topology.frames[0].contacts]
@@ -131,44 +132,20 @@ def test_touching_bodies_stay_two() -> None:
     assert topology.static_num_components.tolist() == [1]
 
 
-class _Rigid:
-    """Drives every particle with the nearest end, as if nothing held the sides together."""
-
-    def pull_apart(self, problems):
-        from scipy.spatial import KDTree
-
-        found = []
-        for problem in problems:
-            driven = np.flatnonzero(problem.handles)
-            nearest = driven[KDTree(problem.positions[driven]).query(problem.positions)[1]]
-            sign = np.where(problem.handles[nearest] == 2, 1.0, -1.0)
-            step = sign[:, None] * problem.direction * problem.distance
-            found.append(problem.positions + step)
-        return found
-
-
-class _Glue:
-    """Leaves everything where it is, as if the sides held together for ever."""
-
-    def pull_apart(self, problems):
-        return [problem.positions for problem in problems]
-
-
-def test_pull_decides_about_pressed_bodies() -> None:
-    """Pressed together at lattice distance, bodies are one exactly if the pull says so."""
+@pytest.mark.parametrize(("gap", "merged"), [(0.0, True), (0.0024, False)])
+def test_pull_decides_about_pressed_bodies(gap: float, merged: bool) -> None:
+    """Bodies pressed to lattice distance hold together when pulled; 1.2 spacings apart they part."""
     x = np.concatenate([block(-0.012), block(0.012, seed=1)])
     ids = np.repeat([0, 1], len(x) // 2).astype(np.uint8)
-    pressed = x - np.where(ids == 1, 0.012, 0.0)[:, None] * [1.0, 0.0, 0.0]
-    scene, particles = record(x, pressed, ids=ids)
-    apart = DynamicCheck(pull_apart=_Rigid()).check(scene, particles)
-    joined = DynamicCheck(pull_apart=_Glue()).check(scene, particles)
-    assert [f.num_components for f in apart.frames] == [2, 2]
-    assert [f.num_components for f in joined.frames] == [2, 1]
-    (event,) = joined.events
-    assert (event.frame, event.kind) == (1, "merge")
-    assert (event.components_before, event.components_after) == ((0, 1), (0,))
-    assert event.margin > 0
-    check_contract(joined)
+    pressed = x - np.where(ids == 1, 0.012 - gap, 0.0)[:, None] * [1.0, 0.0, 0.0]
+    topology = DynamicCheck(pull_apart=MpmPullApart()).check(*record(x, pressed, ids=ids))
+    assert [f.num_components for f in topology.frames] == [2, 1 if merged else 2]
+    check_contract(topology)
+    if merged:
+        (event,) = topology.events
+        assert (event.frame, event.kind) == (1, "merge")
+        assert (event.components_before, event.components_after) == ((0, 1), (0,))
+        assert event.margin > 0
 
 
 def test_missing_pull_apart_is_named() -> None:
