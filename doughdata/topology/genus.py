@@ -1,7 +1,10 @@
 """Genus and scene graph of every component in every key frame, from its solid.
 
-A genus is read at few key frames and only looked at more closely where two readings differ. A
-change that lasts for less than four key frames is a flicker: it is smoothed and marked.
+A genus is read at few key frames and only looked at more closely where two readings differ. It
+changes when a reading is firm and lasts for four key frames or to the end of the scene. Firm: the
+same for all closing radii, and no higher than with the unmerged contacts closed, because a cut may
+open a loop but an unmerged contact alone makes no handle. Else the genus before stays and the key
+frames are marked.
 """
 
 import itertools
@@ -42,7 +45,8 @@ class _Reading:
     """What was read from the solids of one component in one key frame."""
 
     genus: int
-    sure: bool
+    sure: bool  # all closing radii agree
+    firm: bool  # and no handle exists only because contacts are kept open: a cut opens loops
     solid: Solid
 
 
@@ -97,10 +101,15 @@ class _Track:
                 voxel=closing.size,
                 widest=2 * max(self.radii) * self.spacing,
             )
+            closed = solids[0]
             solids = [closing.opened(solid, walls) for solid in solids]
             genus = [solid_genus(solid.inside) for solid in solids]
+            sure = len(set(genus)) == 1
             self.readings[frame] = _Reading(
-                genus=genus[0], sure=len(set(genus)) == 1, solid=solids[0]
+                genus=genus[0],
+                sure=sure,
+                firm=sure and genus[0] <= solid_genus(closed.inside),
+                solid=solids[0],
             )
         return self.readings[frame]
 
@@ -120,7 +129,7 @@ class _Track:
         self._refine(middle, high)
 
     def _settle(self) -> tuple[list[int], list[bool]]:
-        """Genus of every key frame without flickers, and whether it is sure."""
+        """Genus of every key frame after weighing changes, and whether it is sure."""
         known = sorted(self.readings)
         frames = np.arange(self.first, self.last + 1)
         before = np.searchsorted(known, frames, side="right") - 1
@@ -131,17 +140,23 @@ class _Track:
             for a, b, f in zip(before, after, frames.tolist(), strict=True)
         ]
         edges = [0, *(k for k in range(1, len(genus)) if genus[k] != genus[k - 1]), len(genus)]
-        settled = list(genus)
-        for low, high in itertools.pairwise(edges):
-            # The last key frames of the scene have no later ones to judge them.
-            ends = high == len(genus) and self.last == len(self.positions) - 1
-            if high - low < FLICKER and len(edges) > 2 and ends:
-                sure[low:high] = [False] * (high - low)
-            elif high - low < FLICKER and len(edges) > 2:
-                sure[low:high] = [False] * (high - low)
-                value = settled[low - 1] if low else genus[high]
-                settled[low:high] = [value] * (high - low)
+        spans = [(low, high) for low, high in itertools.pairwise(edges)]
+        kept = [genus[low] for low, high in spans if self._holds(low, high)]
+        value = kept[0] if kept else min(genus)
+        settled = []
+        for low, high in spans:
+            value = genus[low] if self._holds(low, high) else value
+            settled += [value] * (high - low)
+        sure = [s and read == value for s, read, value in zip(sure, genus, settled, strict=True)]
         return settled, sure
+
+    def _holds(self, low: int, high: int) -> bool:
+        """Whether a span of equal readings is firm somewhere, and no flicker."""
+        # The last key frames of the scene have no later ones to judge them.
+        ends = self.first + high == len(self.positions)
+        readings = [self.readings.get(self.first + k) for k in range(low, high)]
+        firm = any(reading is not None and reading.firm for reading in readings)
+        return firm and (high - low >= FLICKER or ends)
 
     def _shapes(self, genus: list[int], sure: list[bool]) -> list[Shape]:
         shapes: list[Shape] = []

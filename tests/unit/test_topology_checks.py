@@ -134,7 +134,7 @@ def test_touching_bodies_stay_two() -> None:
 
 @pytest.mark.parametrize(("gap", "merged"), [(0.0, True), (0.0024, False)])
 def test_pull_decides_about_pressed_bodies(gap: float, merged: bool) -> None:
-    """Bodies pressed to lattice distance hold together when pulled; 1.2 spacings apart they part."""
+    """Bodies pressed to lattice distance hold when pulled; 1.2 spacings apart they part."""
     x = np.concatenate([block(-0.012), block(0.012, seed=1)])
     ids = np.repeat([0, 1], len(x) // 2).astype(np.uint8)
     pressed = x - np.where(ids == 1, 0.012 - gap, 0.0)[:, None] * [1.0, 0.0, 0.0]
