@@ -85,4 +85,4 @@ def require_package(package: str, *, extra: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name and error.name.partition(".")[0] != package.partition(".")[0]:
             raise
-        raise MissingPackageError(package, extra) from error
+        raise MissingPackageError(package.partition(".")[0], extra) from error

@@ -1,12 +1,13 @@
 """From option values to objects: the one place where names on the command line become parts."""
 
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from doughdata import registry
 from doughdata.requests import FamilyScenes, Stages
-from doughschemas import BadInputError, Scene, UnknownNameError
+from doughschemas import BadInputError, MissingPackageError, Scene, UnknownNameError
 
 __all__ = ["build_executor", "build_sensors", "build_stages", "wanted_scenes"]
 
@@ -60,7 +61,10 @@ def build_sensors(names: tuple[str, ...]) -> dict[str, Any]:
 
     Raises:
         UnknownNameError: a name that nobody registered.
+        MissingPackageError: nothing can be rendered, because Open3D is not installed.
     """
+    if names and find_spec("open3d") is None:
+        raise MissingPackageError("open3d", "render")
     return {name: registry.load("sensors", name)() for name in names}
 
 

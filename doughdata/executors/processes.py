@@ -6,6 +6,8 @@ import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from typing import Any, ClassVar, TypeVar
 
 from doughdata.executors.crash import WorkerCrash
@@ -34,8 +36,8 @@ class ProcessExecutor:
         return self
 
     def __exit__(self, *error: Any) -> None:
-        interrupted = error[0] is not None
-        self._stop(kill=interrupted)
+        # An error lets running items end; only Ctrl-C and the like do not wait for them.
+        self._stop(kill=error[0] is not None and not issubclass(error[0], Exception))
 
     def map(
         self, function: Callable[[Item], Result], items: Iterable[Item]
@@ -67,9 +69,12 @@ class ProcessExecutor:
 
     def _started(self, workers: int) -> ProcessPoolExecutor:
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(
-                workers, mp_context=multiprocessing.get_context("spawn"), initializer=_quiet_worker
-            )
+            with _quiet_tracker():
+                self._pool = ProcessPoolExecutor(
+                    workers,
+                    mp_context=multiprocessing.get_context("spawn"),
+                    initializer=_quiet_worker,
+                )
         return self._pool
 
     def _stop(self, *, kill: bool) -> None:
@@ -81,6 +86,25 @@ class ProcessExecutor:
                     child.kill()
         self._pool.shutdown(wait=True, cancel_futures=True)
         self._pool = None
+
+
+@contextmanager
+def _quiet_tracker() -> Iterator[None]:
+    """Start Python's resource tracker without its warning.
+
+    It frees the semaphores of workers that were killed while they started, and tells the user so.
+    """
+    before = os.environ.get("PYTHONWARNINGS")
+    rule = "ignore:resource_tracker:UserWarning"
+    os.environ["PYTHONWARNINGS"] = f"{before},{rule}" if before else rule
+    try:
+        resource_tracker.ensure_running()
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONWARNINGS"]
+        else:
+            os.environ["PYTHONWARNINGS"] = before
 
 
 def _quiet_worker() -> None:
