@@ -35,6 +35,8 @@ def started(arguments: tuple, cwd: Path, until: Callable[[Path], object]) -> sub
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # A shell starts background jobs with SIGINT ignored; a terminal does not.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     while not until(cwd / "dough-dataset"):
         assert process.poll() is None, f"ended too early: {process.communicate()}"
