@@ -8,7 +8,7 @@ DEMO := demo-dataset
 
 help:
 	@echo "make demo       set up, then make, render, validate and draw a small dataset"
-	@echo "make test       set up, then run the tests (about ten minutes on two cores)"
+	@echo "make test       set up, then run the tests"
 	@echo "make test-slow  the tests that take longer"
 	@echo "make check      lint, format, types, import contracts"
 	@echo "make bench      every benchmark, one JSON object a line"
