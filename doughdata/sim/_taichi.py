@@ -9,7 +9,7 @@ from typing import Any
 
 from doughschemas import BadInputError, MissingPackageError
 
-__all__ = ["start", "ti"]
+__all__ = ["check_arch", "start", "ti"]
 
 # Taichi prints a banner on import, which would break the one JSON object of `--json`.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
@@ -25,6 +25,18 @@ except ModuleNotFoundError as error:
 _started: list[str] = []  # what this process runs on, once decided
 
 
+def check_arch(arch: str) -> None:
+    """Refuse what cannot be simulated on.
+
+    Raises:
+        BadInputError: an unknown name, or a GPU, for which there are no kernels.
+    """
+    if arch in ("cuda", "vulkan"):
+        raise BadInputError(f"arch {arch!r}: scenes are simulated on the CPU; use auto or cpu")
+    if arch not in ("auto", "cpu"):
+        raise BadInputError(f"arch must be one of auto, cpu, cuda, vulkan; got {arch!r}")
+
+
 def start(arch: str) -> None:
     """Start Taichi once per process; later calls only check the name.
 
@@ -34,10 +46,7 @@ def start(arch: str) -> None:
     Raises:
         BadInputError: an unknown name, or a GPU, for which there are no kernels.
     """
-    if arch in ("cuda", "vulkan"):
-        raise BadInputError(f"arch {arch!r}: scenes are simulated on the CPU; use auto or cpu")
-    if arch not in ("auto", "cpu"):
-        raise BadInputError(f"arch must be one of auto, cpu, cuda, vulkan; got {arch!r}")
+    check_arch(arch)
     if not _started:
         with redirect_stdout(StringIO()):  # its second banner
             ti.init(

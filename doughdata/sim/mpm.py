@@ -10,6 +10,7 @@ from doughdata.scenes.limits import to_world
 from doughdata.scenes.sdf import MARGIN, SignedDistanceGrid, finger_sdf
 from doughdata.scenes.shapes import shape_of
 from doughdata.scenes.tools import finger_poses, opening_at
+from doughdata.sim._taichi import check_arch
 from doughdata.sim.solver import Physics, Solver, Squeeze
 from doughschemas import Action, BadInputError, Particles, Scene, SimulationError, ToolPoses
 
@@ -36,6 +37,7 @@ class MpmConfig:
     arch: str = "auto"  # auto | cpu; there are no kernels for a GPU
 
     def __post_init__(self) -> None:
+        check_arch(self.arch)
         limits = {
             "spacing": (0.0004, 0.005), "frames": (2, 100_000), "cells": (1.0, 2.5),
             "cfl": (0.01, 0.9), "settle": (0.0, 10.0), "jitter": (0.0, 0.45),

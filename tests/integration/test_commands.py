@@ -47,6 +47,7 @@ BAD = {
     "file": (("generate", "--scenes", "nothing.json"), 2, "not found"),
     "stage": (("generate", "--scenes", "rolls", "--stages", "bake"), 2, "unknown stage 'bake'"),
     "preset": (("generate", "--scenes", "rolls", "--preset", "ultra"), 2, "unknown preset"),
+    "gpu": (("generate", "--scenes", "rolls", "--arch", "cuda"), 2, "simulated on the CPU"),
     "arch": (("generate", "--scenes", "rolls", "--arch", "tpu"), 2, "unknown arch"),
     "mesher": (("generate", "--scenes", "rolls", "--mesher", "cubes"), 2, "unknown mesher"),
     "split": (("generate", "--scenes", "rolls", "--split", "val"), 2, "unknown split"),
