@@ -10,7 +10,7 @@ from doughdata.dataset import DatasetSettings, DatasetWriter, Shard, open_datase
 from doughdata.render.depth import DepthStage
 from doughdata.requests import FamilyScenes, Listener, Silent, Stages, Summary
 from doughdata.shard_run import over_shards
-from doughdata.shard_tasks import RenderShard, ShardStage, stage_record
+from doughdata.shard_tasks import RenderShard, ShardStage, config_of, stage_record
 from doughdata.stages import Executor, Sensor
 from doughschemas import MissingLayerError, Scene
 
@@ -72,9 +72,8 @@ def render(
         raise MissingLayerError(
             f"{uri} has no meshes yet: doughdata generate --stages topology,mesh"
         )
-    view = stage_record("", stage).config
     records = {
-        f"depth.{name}": stage_record("sensors", sensor, render=view)
+        f"depth.{name}": stage_record("sensors", sensor, render=config_of(stage))
         for name, sensor in sensors.items()
     }
     for layer, record in records.items():

@@ -1,6 +1,7 @@
 """Names become objects here, through entry points, and only here."""
 
 from functools import cache
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -78,8 +79,6 @@ def require_package(package: str, *, extra: str) -> Any:
     Raises:
         MissingPackageError: it is not installed; the message names the extra.
     """
-    from importlib import import_module
-
     try:
         return import_module(package)
     except ModuleNotFoundError as error:

@@ -13,18 +13,21 @@ from doughdata.seeds import seed_sequence
 from doughdata.stages import Sensor
 from doughschemas import ComponentMeshes, DatasetError, MissingPackageError, Scene
 
-__all__ = ["RenderShard", "ShardStage", "ShardWork", "stage_record"]
+__all__ = ["RenderShard", "ShardStage", "ShardWork", "config_of", "stage_record"]
 
 
 def stage_record(kind: str, stage: Any, **extra: Any) -> StageRecord:
     """What a commit says about the object that made it: registered name, version, configuration."""
     name, version = registry.identity(kind, stage)
+    return StageRecord(name=name, version=version, config={**config_of(stage), **extra})
+
+
+def config_of(stage: Any) -> dict[str, Any]:
+    """Configuration of a stage, and of the simulator that was handed to it, as plain values."""
     given = getattr(stage, "config", None)
     config = asdict(given) if is_dataclass(given) and not isinstance(given, type) else {}
     helper = getattr(stage, "pull_apart", None)
-    if helper is not None:
-        config["pull_apart"] = stage_record("", helper).config
-    return StageRecord(name=name, version=version, config={**config, **extra})
+    return config if helper is None else {**config, "pull_apart": config_of(helper)}
 
 
 class ShardWork(Protocol):

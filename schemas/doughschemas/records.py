@@ -51,7 +51,7 @@ SEGMENT_COMPONENT = 16  # component k is 16 + k
 class Material:
     """Elastoplastic dough: Hencky elasticity with von Mises yield.
 
-    Defaults: Play-Doh-like values found by `research` runs (see SPEC.md, "Material").
+    The defaults are those of SPEC.md, "Material": soft enough to squeeze, firm enough to stand.
     """
 
     young_modulus: float = 50e3  # [Pa]
