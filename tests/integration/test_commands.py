@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from doughdata.sim._taichi import gpu_present
 from tests.integration.conftest import command
 
 HEAVY = ("torch", "taichi", "open3d", "zarr", "scipy", "pyarrow", "matplotlib")
@@ -25,7 +26,17 @@ def test_help_imports_nothing_heavy() -> None:
     assert done.stderr.strip() == "[]"
 
 
-COMMANDS = ("generate", "render", "validate", "info", "stats", "view", "plugins", "scenes")
+COMMANDS = (
+    "generate",
+    "render",
+    "validate",
+    "info",
+    "stats",
+    "view",
+    "plugins",
+    "scenes",
+    "reproduce",
+)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -47,7 +58,6 @@ BAD = {
     "file": (("generate", "--scenes", "nothing.json"), 2, "not found"),
     "stage": (("generate", "--scenes", "rolls", "--stages", "bake"), 2, "unknown stage 'bake'"),
     "preset": (("generate", "--scenes", "rolls", "--preset", "ultra"), 2, "unknown preset"),
-    "gpu": (("generate", "--scenes", "rolls", "--arch", "cuda"), 2, "simulated on the CPU"),
     "arch": (("generate", "--scenes", "rolls", "--arch", "tpu"), 2, "unknown arch"),
     "mesher": (("generate", "--scenes", "rolls", "--mesher", "cubes"), 2, "unknown mesher"),
     "split": (("generate", "--scenes", "rolls", "--split", "val"), 2, "unknown split"),
@@ -57,7 +67,13 @@ BAD = {
     "nothing to check": (("validate",), 1, "no such dataset"),
     "nothing to see": (("view", "--save", "x.png"), 1, "no such dataset"),
     "picture": (("view", "--save", "x.jpeg"), 2, ".png"),
-    "scenes": (("scenes", "show", "bagel"), 2, "known: doughnut, rolls"),
+    "scenes": (("scenes", "show", "bagel"), 2, "known: "),
+    "nothing to compare": (("reproduce", "--scene", "0"), 1, "no such dataset"),
+}
+BAD |= {  # only where there is none
+    f"no {arch}": (("generate", "--scenes", "rolls", "--arch", arch), 2, "no such GPU")
+    for arch in ("cuda", "vulkan")
+    if not gpu_present(arch)
 }
 
 
