@@ -10,7 +10,7 @@ from jaxtyping import Float32, Float64
 
 from doughdata.registry import require_package
 from doughdata.scenes.tools import finger_mesh
-from doughschemas import Tool
+from doughschemas import SceneError, Tool
 
 __all__ = ["SignedDistanceGrid", "finger_sdf"]
 
@@ -18,6 +18,7 @@ FINEST = 0.0005  # [m]; a 3 mm blade spans six cells
 MARGIN = 0.010  # [m], grid beyond the finger on every side: three cells of a 3.1 mm MPM grid
 MOST_NODES = 4_000_000  # 16 MB; larger tools get a coarser grid
 CACHED = 32  # fingers kept in memory
+LARGEST = 0.5  # [m]; the workspace is 0.2 m wide, so a longer finger is a file in millimetres
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,22 +41,27 @@ class SignedDistanceGrid:
         beyond = np.linalg.norm(index - inside, axis=1) * self.spacing
         low = np.minimum(inside.astype(int), last - 1)
         fraction = inside - low
+        _, ny, nz = self.values.shape
+        flat = self.values.reshape(-1)
+        first = (low[:, 0] * ny + low[:, 1]) * nz + low[:, 2]
         total = np.zeros(len(index))
-        for corner in np.ndindex(2, 2, 2):
-            weight = np.where(corner, fraction, 1.0 - fraction).prod(axis=1)
-            total += weight * self.values[tuple((low + corner).T)]
+        share = ((1.0 - fraction).T, fraction.T)  # of the lower and the upper node, by axis
+        for i, j, k in np.ndindex(2, 2, 2):
+            weight = share[i][0] * share[j][1] * share[k][2]
+            total += weight * flat[first + ((i * ny + j) * nz + k)]
         return total + beyond
 
 
 def finger_sdf(tool: Tool) -> SignedDistanceGrid:
     """Signed distance of one finger in its own frame (face at x = 0, lowest point z = 0).
 
-    A box is exact at the nodes. A mesh is measured by Open3D's ray-casting scene. Nodes are at
-    most 0.5 mm apart unless the finger is so large that the grid would pass 4 million nodes; the
-    grid reaches 10 mm beyond the finger. Kept in memory per process, keyed by the content.
+    A box is exact at the nodes. A mesh is measured by Open3D's ray-casting scene, which counts
+    crossings: normals may point either way. Nodes are at most 0.5 mm apart unless the finger is so
+    large that the grid would pass 4 million nodes; the grid reaches 10 mm beyond the finger. Kept
+    in memory per process, keyed by the content.
 
     Raises:
-        SceneError: the mesh file is missing, no mesh, or not watertight.
+        SceneError: the mesh file is missing, no mesh, not watertight, or longer than 0.5 m.
         MissingPackageError: a mesh finger without the `render` extra.
     """
     if tool.mesh is None:
@@ -81,6 +87,7 @@ def _box_grid(depth: float, width: float, height: float) -> SignedDistanceGrid:
 def _mesh_grid(path: str, scale: float, content: str) -> SignedDistanceGrid:  # noqa: ARG001 - the key
     open3d = require_package("open3d", extra="render")
     mesh = finger_mesh(Tool(name=Path(path).stem, mesh=path, scale=scale))
+    _check_size(path, scale, float(mesh.extents.max()))
     origin, spacing, points = _nodes(*np.asarray(mesh.bounds))
     scene = open3d.t.geometry.RaycastingScene(nthreads=1)
     scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
@@ -88,6 +95,14 @@ def _mesh_grid(path: str, scale: float, content: str) -> SignedDistanceGrid:  # 
     return SignedDistanceGrid(
         values=distance.numpy().astype(np.float32), origin=origin, spacing=spacing
     )
+
+
+def _check_size(path: str, scale: float, longest: float) -> None:
+    if longest > LARGEST:
+        raise SceneError(
+            f"tool mesh {path!r} must be at most {LARGEST} m long, is {longest:.4g} m at scale "
+            f"{scale:g}; a file in millimetres needs scale 0.001"
+        )
 
 
 def _nodes(

@@ -6,28 +6,24 @@ pair that comes near inherits from its surroundings; only a passed pull test bon
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64, UInt8
-from scipy.sparse import csr_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 
-from doughdata.topology.pairs import (
-    adjacency,
-    connected,
-    decode,
-    is_member,
-    lengths,
-    near_keys,
-    without,
-)
+from doughdata.topology.pairs import connected, decode, is_member, lengths, near_keys, rows_of
 
 __all__ = ["BondGraph"]
+
+BOTH = 1 << 20  # more than any particle has neighbours
 
 
 class BondGraph:
     """Bonded and contact pairs of one key frame.
 
-    Lengths are in spacings: `reach` of a pair, `link` of a bond that holds a component, `near`
-    of the neighbours asked when a pair inherits. A new pair is bonded if at least the share
-    `support_new` of its common neighbours is bonded to both ends (`support_old` for a contact
-    pair), in two passes.
+    Lengths are in spacings: `reach` of a pair, `link` of a bond that holds a component. A new pair
+    is bonded if at least the share `support_new` of its common neighbours is bonded to both ends
+    (`support_old` for a contact pair; both above 0), in two passes.
+
+    `near` are the keys of all near pairs, sorted; `pairs`, `lengths` [m] and `contact` (in contact,
+    else bonded) have a row for each.
     """
 
     def __init__(
@@ -44,81 +40,103 @@ class BondGraph:
     ) -> None:
         self.spacing, self.reach, self.link = spacing, reach, link
         self.support_new, self.support_old = support_new, support_old
-        self.positions = positions
         self.count = len(positions)
-        self.near = near_keys(positions, reach * spacing)
-        pairs = decode(self.near, self.count)
-        self.lengths = lengths(positions, pairs)  # [m], of the near pairs
-        same = object_ids[pairs[:, 0]] == object_ids[pairs[:, 1]]
-        short = self.lengths < start * spacing
-        body = connected(pairs[same & short], self.count)
-        self.contacts = self.near[body[pairs[:, 0]] != body[pairs[:, 1]]]
+        self._place(positions)
+        same = object_ids[self.pairs[:, 0]] == object_ids[self.pairs[:, 1]]
+        body = connected(self.pairs[same & (self.lengths < start * spacing)], self.count)
+        self.contact = body[self.pairs[:, 0]] != body[self.pairs[:, 1]]
         self.cuts: list[UInt8[np.ndarray, " particles"]] = []  # side 1 or 2 of each cut
-        self.crossed = np.zeros(0, np.int64)  # pairs with a finger between them
+        self.crossed = np.zeros(0, np.int64)  # keys of pairs that had a finger between them
+
+    def _place(self, positions: Float64[np.ndarray, "particles 3"]) -> None:
+        self.positions = positions
+        self.near = near_keys(positions, self.reach * self.spacing)
+        self.pairs = decode(self.near, self.count)
+        self.lengths = lengths(positions, self.pairs)
+
+    @property
+    def contacts(self) -> Int64[np.ndarray, " contacts"]:
+        """Keys of the contact pairs."""
+        return self.near[self.contact]
 
     def bonded_keys(self, longest: float) -> Int64[np.ndarray, " bonds"]:
         """Keys of the bonded pairs shorter than `longest` spacings."""
-        return without(self.near[self.lengths < longest * self.spacing], self.contacts)
+        return self.near[self._short(longest)]
 
     def bonded_pairs(self, longest: float) -> Int64[np.ndarray, "bonds 2"]:
         """Bonded pairs shorter than `longest` spacings."""
-        return decode(self.bonded_keys(longest), self.count)
+        return self.pairs.take(self._short(longest), axis=0)
+
+    def _short(self, longest: float) -> Int64[np.ndarray, " bonds"]:
+        return np.flatnonzero((self.lengths < longest * self.spacing) & ~self.contact)
 
     def pieces(self) -> Int32[np.ndarray, " particles"]:
         """Piece of each particle: what short bonds hold together."""
         return connected(self.bonded_pairs(self.link), self.count)
 
+    def touching(self, radius: float) -> Int32[np.ndarray, " particles"]:
+        """Piece of each particle if everything within `radius` spacings (<= `reach`) were one."""
+        rows = np.flatnonzero(self.lengths < radius * self.spacing)
+        return connected(self.pairs.take(rows, axis=0), self.count)
+
     def advance(self, positions: Float64[np.ndarray, "particles 3"]) -> None:
         """Carry the graph to the next key frame."""
-        near = near_keys(positions, self.reach * self.spacing)
-        known = is_member(near, self.near)
-        contact = is_member(near, self.contacts)
-        self.positions, self.near = positions, near
-        self.lengths = lengths(positions, decode(near, self.count))
-        bonded = near[known & ~contact]
-        pending = near[~known | contact]
-        limit = np.where(known[~known | contact], self.support_old, self.support_new)
-        free = ~self.locked(pending)
-        made = self._inherit(bonded, pending[free], limit[free])
-        made = self._within_pieces(bonded, made)
-        self.contacts = without(pending, made)
+        before, contacts = self.near, self.contacts
+        moved = np.sqrt(((positions - self.positions) ** 2).sum(axis=1))
+        self._place(positions)
+        # Both ends together moved less than a pair is short of `reach`: it was near before, too.
+        way = moved.take(self.pairs[:, 0]) + moved.take(self.pairs[:, 1])
+        asked = np.flatnonzero(self.lengths + way > (self.reach - 1e-6) * self.spacing)
+        new = asked[~is_member(self.near[asked], before)]
+        self.contact = np.zeros(len(self.near), dtype=bool)
+        self.contact[rows_of(contacts, self.near)] = True
+        limit = np.full(len(self.near), self.support_old)
+        limit[new] = self.support_new
+        self.contact[new] = True
+        pending = np.flatnonzero(self.contact)
+        pending = pending[~self.locked(pending)]
+        # With a neighbour bonded to both ends, these are of one component already: no pair across
+        # components is ever bonded here.
+        self.contact[self._inherit(pending, limit[pending])] = False
 
     def _inherit(
-        self,
-        bonded: Int64[np.ndarray, " bonds"],
-        pending: Int64[np.ndarray, " pending"],
-        limit: Float64[np.ndarray, " pending"],
+        self, pending: Int64[np.ndarray, " pending"], limit: Float64[np.ndarray, " pending"]
     ) -> Int64[np.ndarray, " made"]:
-        """Pending pairs whose common neighbours are bonded to both ends."""
+        """Rows of pending pairs whose common neighbours are bonded to both ends."""
         made = np.zeros(0, np.int64)
         if len(pending) == 0:
             return made
-        pairs = decode(pending, self.count)
-        all_near = _common(adjacency(decode(self.near, self.count), self.count), pairs)
+        matrix, row = self._neighbours(self.pairs[pending])
+        bonded = ~self.contact
         for _ in range(2):
-            graph = adjacency(decode(np.concatenate([bonded, made]), self.count), self.count)
-            share = _common(graph, decode(pending, self.count)) / np.maximum(all_near, 1)
-            accepted = (share >= limit) & (all_near > 0)
-            made = np.sort(np.concatenate([made, pending[accepted]]))
-            pending, limit, all_near = pending[~accepted], limit[~accepted], all_near[~accepted]
+            matrix.data = 1.0 + BOTH * bonded[row]
+            near, held = _common(matrix, self.pairs[pending])
+            accepted = held / np.maximum(near, 1) >= limit
+            made = np.concatenate([made, pending[accepted]])
+            bonded[made] = True
+            pending, limit = pending[~accepted], limit[~accepted]
             if len(pending) == 0:
                 break
-        return made
+        return np.sort(made)
 
-    def _within_pieces(
-        self, bonded: Int64[np.ndarray, " bonds"], made: Int64[np.ndarray, " made"]
-    ) -> Int64[np.ndarray, " _"]:
-        """Drop new bonds between components: those need a passed pull test."""
-        if len(made) == 0:
-            return made
-        piece = connected(decode(bonded, self.count), self.count)
-        ends = decode(made, self.count)
-        return made[piece[ends[:, 0]] == piece[ends[:, 1]]]
+    def _neighbours(
+        self, asked: Int64[np.ndarray, "asked 2"]
+    ) -> tuple[csr_matrix, Int64[np.ndarray, " entries"]]:
+        """Near pairs of the particles asked about, as a matrix, and the row of each entry."""
+        wanted = np.zeros(self.count, dtype=bool)
+        wanted[asked] = True
+        up, down = (np.flatnonzero(wanted[self.pairs[:, k]]) for k in (0, 1))
+        # Lower neighbours first: so the columns of every row come out sorted.
+        rows = np.concatenate([self.pairs[down, 1], self.pairs[up, 0]])
+        columns = np.concatenate([self.pairs[down, 0], self.pairs[up, 1]])
+        entry = np.concatenate([down, up]).astype(np.float64)
+        matrix = csr_matrix(coo_matrix((entry, (rows, columns)), (self.count, self.count)))
+        return matrix, matrix.data.astype(np.int64)
 
-    def locked(self, keys: Int64[np.ndarray, " pairs"]) -> Bool[np.ndarray, " pairs"]:
-        """Which pairs lie across a cut of this action, or have had a finger between them."""
-        found = is_member(keys, self.crossed)
-        pairs = decode(keys, self.count)
+    def locked(self, rows: Int64[np.ndarray, " rows"]) -> Bool[np.ndarray, " rows"]:
+        """Which near pairs lie across a cut of this action, or have had a finger between them."""
+        found = is_member(self.near[rows], self.crossed)
+        pairs = self.pairs[rows]
         for side in self.cuts:
             found |= side[pairs[:, 0]] * side[pairs[:, 1]] == 2
         return found
@@ -131,33 +149,32 @@ class BondGraph:
     def join(self, keys: Int64[np.ndarray, " pairs"]) -> None:
         """Bond contact pairs, and all other contacts among their particles."""
         ends = np.zeros(self.count, dtype=bool)
-        ends[decode(keys, self.count).ravel()] = True
-        pairs = decode(self.contacts, self.count)
-        inside = ends[pairs[:, 0]] & ends[pairs[:, 1]] & ~self.locked(self.contacts)
-        self.contacts = without(self.contacts[~inside], np.sort(keys))
+        ends[decode(keys, self.count)] = True
+        rows = np.flatnonzero(self.contact)
+        inside = rows[ends[self.pairs[rows]].all(axis=1)]
+        self.contact[inside[~self.locked(inside)]] = False
+        self.contact[rows_of(keys, self.near)] = False
 
     def cut(self, side: UInt8[np.ndarray, " particles"]) -> None:
         """Break every bond between side 1 and side 2 until the next action."""
-        self.separate(side)
+        self.contact |= side[self.pairs[:, 0]] * side[self.pairs[:, 1]] == 2
         self.cuts.append(side.astype(np.uint8))
 
-    def separate(self, side: UInt8[np.ndarray, " particles"]) -> None:
-        """Break every bond between side 1 and side 2."""
-        pairs = decode(self.near, self.count)
-        self._break(self.near[side[pairs[:, 0]] * side[pairs[:, 1]] == 2])
-
-    def cross(self, keys: Int64[np.ndarray, " pairs"]) -> None:
+    def cross(self, rows: Int64[np.ndarray, " rows"]) -> None:
         """Break the bonds that a finger passes through, until the next action."""
-        self._break(keys)
-        self.crossed = np.union1d(self.crossed, keys)
-
-    def _break(self, keys: Int64[np.ndarray, " pairs"]) -> None:
-        self.contacts = np.union1d(self.contacts, keys)
+        self.contact[rows] = True
+        self.crossed = np.union1d(self.crossed, self.near[rows])
 
 
 def _common(
-    graph: csr_matrix, pairs: Int64[np.ndarray, "pairs 2"]
-) -> Float64[np.ndarray, " pairs"]:
-    """Number of common neighbours of the two ends of each pair."""
-    both = graph[pairs[:, 0]].multiply(graph[pairs[:, 1]])
-    return np.asarray(both.sum(axis=1), dtype=np.float64).ravel()
+    matrix: csr_matrix, pairs: Int64[np.ndarray, "pairs 2"]
+) -> tuple[Int64[np.ndarray, " pairs"], Int64[np.ndarray, " pairs"]]:
+    """Number of common neighbours of the two ends of each pair, and of those bonded to both.
+
+    An entry is 1 for a near pair and 1 + BOTH for a bonded one. The sum of products over the common
+    neighbours is then their number + BOTH * ... + BOTH^2 * the number bonded to both: one product
+    of sparse rows instead of two, exact in double precision.
+    """
+    total = matrix[pairs[:, 0]].multiply(matrix[pairs[:, 1]]).sum(axis=1)
+    total = np.asarray(total).ravel().astype(np.int64)
+    return total % BOTH, total // BOTH**2

@@ -1,47 +1,71 @@
 """Neighbourhoods: the particles around a patch, their sides, and patches cut to testable size."""
 
 import numpy as np
-from jaxtyping import Float64, Int32, Int64
+from jaxtyping import Bool, Float64, Int32, Int64
 from scipy.spatial import KDTree
 
-from doughdata.topology.bonds import BondGraph
 from doughdata.topology.pairs import connected, lengths
 
-__all__ = ["SIDE_BOND", "cells_along", "chunks", "crop", "sides"]
+__all__ = ["SIDE_BOND", "Crop", "cells_along", "chunks", "in_box"]
 
 SIDE_BOND = 2.0  # [spacings]; longer bonds do not hold a side together
 
 
-def crop(
-    positions: Float64[np.ndarray, "particles 3"], core: Int64[np.ndarray, " core"], radius: float
-) -> Int64[np.ndarray, " crop"]:
-    """Indices of the particles within `radius` [m] of any core particle."""
-    low = positions[core].min(axis=0) - radius
-    high = positions[core].max(axis=0) + radius
-    box = np.flatnonzero(((positions >= low) & (positions <= high)).all(axis=1))
-    distance, _ = KDTree(positions[core]).query(positions[box], distance_upper_bound=radius)
-    return box[np.isfinite(distance)]
+def in_box(
+    positions: Float64[np.ndarray, "particles 3"],
+    points: Float64[np.ndarray, "points 3"],
+    margin: float,
+) -> Bool[np.ndarray, " particles"]:
+    """Which particles lie in the box of some points, widened by `margin` [m]."""
+    inside = np.ones(len(positions), dtype=bool)
+    for along, own in zip(positions.T, points.T, strict=True):
+        inside &= (along >= own.min() - margin) & (along <= own.max() + margin)
+    return inside
 
 
-def sides(
-    graph: BondGraph,
-    bonds: Int64[np.ndarray, "bonds 2"],
-    inside: Int64[np.ndarray, " crop"],
-    *,
-    leave_out: Int64[np.ndarray, " _"] | None = None,
-) -> Int32[np.ndarray, " particles"]:
-    """Bonded piece of every particle within a crop; -1 outside it.
+class Crop:
+    """The particles around a core, nearest first asked, and the short bonds among them."""
 
-    `bonds` are the bonded pairs short enough to hold a side (`SIDE_BOND`).
-    """
-    member = np.zeros(graph.count, dtype=bool)
-    member[inside] = True
-    if leave_out is not None:
-        member[leave_out] = False
-    kept = bonds[member[bonds[:, 0]] & member[bonds[:, 1]]]
-    piece = connected(kept, graph.count).astype(np.int32)
-    piece[~member] = -1
-    return piece
+    def __init__(
+        self,
+        positions: Float64[np.ndarray, "particles 3"],
+        bonds: Int64[np.ndarray, "bonds 2"],
+        core: Int64[np.ndarray, " core"],
+        radius: float,
+    ) -> None:
+        """Collect what lies within `radius` [m] of any core particle.
+
+        `bonds` are the bonded pairs short enough to hold a side (`SIDE_BOND`).
+        """
+        inside = in_box(positions, positions[core], radius)
+        inside[core] = False
+        box = np.flatnonzero(inside)
+        away, _ = KDTree(positions[core]).query(positions[box], distance_upper_bound=radius)
+        indices = np.concatenate([core, box])
+        distance = np.concatenate([np.zeros(len(core)), away])
+        near = np.flatnonzero(np.isfinite(distance))
+        order = np.argsort(indices[near])
+        self.indices = indices[near][order]  # sorted
+        self.distance = distance[near][order]  # [m], to the core
+        self.place = np.full(len(positions), -1)
+        self.place[self.indices] = np.arange(len(near))
+        ends = np.stack([self.place.take(bonds[:, 0]), self.place.take(bonds[:, 1])], axis=1)
+        self.bonds = ends.take(np.flatnonzero((ends[:, 0] >= 0) & (ends[:, 1] >= 0)), axis=0)
+
+    def pieces(
+        self, radius: float, *, leave_out: Int64[np.ndarray, " _"] | None = None
+    ) -> Int32[np.ndarray, " crop"]:
+        """Bonded piece of every particle within `radius` [m] of the core; -1 beyond it.
+
+        Particles `leave_out` are taken away first.
+        """
+        member = self.distance <= radius
+        if leave_out is not None:
+            gone = self.place[leave_out]
+            member[gone[gone >= 0]] = False
+        kept = member.take(self.bonds[:, 0]) & member.take(self.bonds[:, 1])
+        piece = connected(self.bonds.take(np.flatnonzero(kept), axis=0), len(member))
+        return np.where(member, piece, -1).astype(np.int32)
 
 
 def chunks(

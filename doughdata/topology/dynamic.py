@@ -11,7 +11,7 @@ from doughdata.topology.genus import Shape, read_shapes, scene_graph
 from doughdata.topology.history import FrameState, History
 from doughdata.topology.pairs import decode
 from doughdata.topology.record import bond_changes
-from doughdata.topology.static import StaticConfig, static_frames
+from doughdata.topology.static import StaticConfig, static_genus
 from doughdata.topology.tracking import (
     components_of,
     crumb_limit,
@@ -39,7 +39,8 @@ class DynamicConfig:
     support_new: float = 0.25  # share of bonded common neighbours at which a new pair bonds
     support_old: float = 0.45  # the same for a contact pair
     finger_depth: float = 0.4  # a bond this deep inside a finger is cut
-    patch_gap: float = 2.6  # contacts up to this long can merge
+    patch_gap: float = 2.6  # contacts up to this long make up a patch
+    test_gap: float = 2.0  # a patch this wide misses a layer of particles: nothing to pull at
     patch_link: float = 2.2  # contact particles this near are one patch
     patch_length: float = 0.012  # [m], longest patch of one test
     seam_gap: float = 1.7  # a patch beside a merged seam joins it below this gap
@@ -53,7 +54,8 @@ class DynamicConfig:
     neck_gate: float = 0.6  # of the thickness beside it, below which a neck is tested
     same_place: float = 0.004  # [m], between two tests of one patch
     grown: float = 1.3  # a patch is tested again when it has grown by this factor
-    closer: float = 0.05  # or when its gap has closed by this much
+    closer: float = 0.05  # or when its gap has closed by this much ...
+    closer_far: float = 0.1  # ... and by this much (necks: this share) far from the threshold
     closing_radii: tuple[float, ...] = (2.0, 1.75)  # the first gives the genus
     crumb_share: float = 0.02  # of all particles; a smaller piece is a crumb ...
     crumb_volume: float = 0.8e-6  # [m3] ... if it is also smaller than this
@@ -87,6 +89,7 @@ class DynamicCheck:
             labels,
             [decode(state.bonds, len(particles.object_ids)) for state in states],
             [state.contacts for state in states],
+            joined=[state.joined for state in states],
             spacing=particles.spacing,
             radii=self.config.closing_radii,
         )
@@ -96,13 +99,13 @@ class DynamicCheck:
                 particles.positions, labels, shapes, states, strict=True
             )
         )
-        static = static_frames(particles, self.config.static)
+        static = static_genus(particles, [state.touching for state in states], self.config.static)
         made, broken = bond_changes([state.bonds for state in states], len(labels[0]))
         return Topology(
             frames=frames,
-            events=tuple(_events(frames, states)),
-            static_num_components=np.array([len(own.genus) for own in static], np.int32),
-            static_genus=tuple(own.genus for own in static),
+            events=tuple(_events(frames, shapes, states)),
+            static_num_components=np.array([len(own) for own in static], np.int32),
+            static_genus=tuple(static),
             bonds_made=made,
             bonds_broken=broken,
         )
@@ -140,7 +143,7 @@ def _doubt(shapes: Sequence[Shape], state: FrameState) -> str:
     """Why a key frame is unsure; empty if it is not."""
     reasons = []
     if not all(shape.sure for shape in shapes):
-        reasons.append("the genus depends on the closing radius, flickers or misses the graph")
+        reasons.append("the readings of the solid or its graph exclude the genus")
     near = [d for d in state.decisions if d.margin < UNSURE]
     if near:
         worst = min(near, key=lambda d: d.margin)
@@ -148,7 +151,11 @@ def _doubt(shapes: Sequence[Shape], state: FrameState) -> str:
     return "; ".join(reasons)
 
 
-def _events(frames: Sequence[FrameTopology], states: Sequence[FrameState]) -> list[TopologyEvent]:
+def _events(
+    frames: Sequence[FrameTopology],
+    shapes: Sequence[Sequence[Shape]],
+    states: Sequence[FrameState],
+) -> list[TopologyEvent]:
     events = []
     for frame in range(1, len(frames)):
         before, after = frames[frame - 1], frames[frame]
@@ -156,5 +163,7 @@ def _events(frames: Sequence[FrameTopology], states: Sequence[FrameState]) -> li
         margins: dict[str, float] = {}
         for decision in recent:
             margins[decision.kind] = min(decision.margin, margins.get(decision.kind, np.inf))
-        events += find_events(frame, before, after, cut="split" in margins, margins=margins)
+        # A finger that goes right through a tube leaves no neck to pull at, but an open loop.
+        cut = ["split" in margins or shape.parted for shape in shapes[frame]]
+        events += find_events(frame, before, after, cut=cut, margins=margins)
     return events

@@ -33,20 +33,22 @@ class Gripper:
         self, points: Float64[np.ndarray, "points 3"]
     ) -> Float64[np.ndarray, "fingers points"]:
         """Signed distance [m] of each point to each finger; negative inside."""
-        local = [(points - p) @ r for p, r in zip(self.position, self.rotation, strict=True)]
-        return np.stack([self.shape.sample(part) for part in local])
+        return np.stack([self._to(finger, points) for finger in range(len(self.position))])
 
-    def near(
+    def distances_within(
         self, points: Float64[np.ndarray, "points 3"], reach: float
-    ) -> Bool[np.ndarray, " points"]:
-        """Whether each point is closer than `reach` [m] to a finger."""
+    ) -> Float64[np.ndarray, "fingers points"]:
+        """As `distances`, but infinite for points farther than `reach` [m] from the finger's grid.
+
+        Cheap where most points are far from the fingers.
+        """
         low = self.shape.origin
         high = low + self.shape.spacing * (np.array(self.shape.values.shape) - 1)
-        found = np.zeros(len(points), dtype=bool)
-        for position, rotation in zip(self.position, self.rotation, strict=True):
+        found = np.full((len(self.position), len(points)), np.inf)
+        for own, position, rotation in zip(found, self.position, self.rotation, strict=True):
             local = (points - position) @ rotation
             box = np.flatnonzero(((local > low - reach) & (local < high + reach)).all(axis=1))
-            found[box] |= self.shape.sample(local[box]) < reach
+            own[box] = self.shape.sample(local[box])
         return found
 
     def between(
@@ -54,21 +56,32 @@ class Gripper:
         points: Float64[np.ndarray, "points 3"],
         ends: Float64[np.ndarray, "points 3"],
         depth: float,
+        *,
+        distances: Float64[np.ndarray, "fingers points 2"],
     ) -> Bool[np.ndarray, " points"]:
         """Whether a finger lies at least `depth` [m] deep between each point and its end.
 
-        Three samples a segment: bonds are at most three spacings long, fingers two or more wide.
+        `distances` are those of each point and of its end to each finger. Three samples a segment:
+        bonds are at most three spacings long, fingers two or more wide.
         """
+        length = np.linalg.norm(ends - points, axis=1)
         through = np.zeros(len(points), dtype=bool)
-        # A distance changes by at most the way walked: most segments are settled by their middle.
-        reach = 0.2 * np.linalg.norm(ends - points, axis=1)
-        middle = self.distances((points + ends) / 2).min(axis=0)
-        through |= middle < -depth
-        undecided = np.flatnonzero(~through & (middle < reach - depth))
-        for share in (0.3, 0.7):
-            samples = points[undecided] + share * (ends[undecided] - points[undecided])
-            through[undecided] |= self.distances(samples).min(axis=0) < -depth
+        for finger in range(len(self.position)):
+            # A distance changes by at most the way walked: few segments can reach so deep.
+            deepest = (distances[finger].sum(axis=1) - length) / 2
+            asked = np.flatnonzero(~through & (deepest < -depth))
+            middle = self._to(finger, (points[asked] + ends[asked]) / 2)
+            through[asked] |= middle < -depth
+            asked = asked[(middle >= -depth) & (middle < 0.2 * length[asked] - depth)]
+            for share in (0.3, 0.7):
+                samples = points[asked] + share * (ends[asked] - points[asked])
+                through[asked] |= self._to(finger, samples) < -depth
         return through
+
+    def _to(
+        self, finger: int, points: Float64[np.ndarray, "points 3"]
+    ) -> Float64[np.ndarray, " points"]:
+        return self.shape.sample((points - self.position[finger]) @ self.rotation[finger])
 
 
 def gripper_at(scene: Scene, poses: ToolPoses, frame: int) -> Gripper:

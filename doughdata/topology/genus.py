@@ -1,14 +1,16 @@
 """Genus and scene graph of every component in every key frame, from its solid.
 
-A genus is read at few key frames and only looked at more closely where two readings differ. It
-changes when a reading is firm and lasts for four key frames or to the end of the scene. Firm: the
-same for all closing radii, and no higher than with the unmerged contacts closed, because a cut may
-open a loop but an unmerged contact alone makes no handle. Else the genus before stays and the key
-frames are marked.
+A genus is read at few key frames and only looked at more closely where two readings differ. A
+reading speaks for a range of genus: unmerged contacts are kept open by walls, which may open a loop
+but make no handle, so that the truth is not above what is read with walls, nor below what is read
+both with and without them. It changes when a reading is firm (one value, for all closing radii) and
+lasts for four key frames or to the end of the scene; it grows only if something was merged: a cut
+takes handles away, and none comes from nothing. Else the genus before stays. A key frame is unsure
+if its readings exclude its genus.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +23,7 @@ from doughdata.topology.tracking import count_labels
 from doughdata.topology.walls import find_walls
 from doughschemas import SceneGraph
 
-__all__ = ["Shape", "read_shapes", "scene_graph"]
+__all__ = ["Shape", "read_shapes", "refine", "scene_graph"]
 
 STILL = 0.1  # [spacings]; a component that moved less than this keeps its shape
 RETHIN = 2.0  # [spacings]; a component that moved more than this gets a new skeleton
@@ -35,18 +37,22 @@ class Shape:
     """Genus and graph of one component in one key frame."""
 
     genus: int
-    sure: bool  # all closing radii agree, the genus is no flicker and the graph has it
+    sure: bool  # the readings around do not exclude it, and the graph has it
     nodes: Float64[np.ndarray, "nodes 3"]  # [m], world
     skeleton: Skeleton  # its edges join the nodes
+    parted: bool = False  # a loop is open only because unmerged contacts are kept open
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Reading:
     """What was read from the solids of one component in one key frame."""
 
-    genus: int
-    sure: bool  # all closing radii agree
-    firm: bool  # and no handle exists only because contacts are kept open: a cut opens loops
+    genus: int  # with walls, of the first closing radius
+    lowest: int  # what the readings leave of the genus
+    highest: int
+    walled: bool  # there are walls: something was cut, or touches without being merged
+    parted: bool  # without walls there would be more handles
+    firm: bool  # one value for all closing radii, and no handle that only walls make
     solid: Solid
 
 
@@ -62,18 +68,26 @@ class _Track:
         bonds: Sequence[Int64[np.ndarray, "_ 2"]],
         contacts: Sequence[Int64[np.ndarray, "_ 2"]],
         *,
+        joined: Sequence[bool],
         spacing: float,
         radii: tuple[float, ...],
     ) -> None:
         self.label, self.first, self.members = label, first, members
         self.last = first + len(members) - 1
         self.positions, self.spacing, self.radii = positions, spacing, radii
-        self.bonds, self.contacts = bonds, contacts
+        self.bonds, self.contacts, self.joined = bonds, contacts, joined
         self.readings: dict[int, _Reading] = {}
 
     def shapes(self) -> list[Shape]:
         """The shape in every key frame of the track."""
-        self._refine(self.first, self.last)
+        members = self.members[0]
+        refine(
+            self.first,
+            self.last,
+            lambda frame: self._read(frame).genus,
+            self.positions[:, members],
+            STILL * self.spacing,
+        )
         genus, steady = self._settle()
         return self._shapes(genus, steady)
 
@@ -101,14 +115,17 @@ class _Track:
                 voxel=closing.size,
                 widest=2 * max(self.radii) * self.spacing,
             )
-            closed = solids[0]
-            solids = [closing.opened(solid, walls) for solid in solids]
+            closed, solids = solids, closing.opened(solids, walls)
             genus = [solid_genus(solid.inside) for solid in solids]
-            sure = len(set(genus)) == 1
+            filled = [solid_genus(own.inside) for own in closed] if len(walls) else genus
+            least = [min(pair) for pair in zip(genus, filled, strict=True)]
             self.readings[frame] = _Reading(
                 genus=genus[0],
-                sure=sure,
-                firm=sure and genus[0] <= solid_genus(closed.inside),
+                lowest=max(least),
+                highest=min(genus),
+                walled=len(walls) > 0,
+                parted=filled[0] > genus[0],
+                firm=len({*genus, *least}) == 1,
                 solid=solids[0],
             )
         return self.readings[frame]
@@ -119,15 +136,6 @@ class _Track:
         step = np.abs(self.positions[high][members] - self.positions[low][members])
         return float(step.max()) / self.spacing
 
-    def _refine(self, low: int, high: int) -> None:
-        """Read between two key frames until readings that agree are near."""
-        same = self._read(low).genus == self._read(high).genus
-        if high - low <= 1 or (same and (high - low <= STRIDE or self._moved(low, high) < STILL)):
-            return
-        middle = (low + high) // 2
-        self._refine(low, middle)
-        self._refine(middle, high)
-
     def _settle(self) -> tuple[list[int], list[bool]]:
         """Genus of every key frame after weighing changes, and whether it is sure."""
         known = sorted(self.readings)
@@ -135,20 +143,32 @@ class _Track:
         before = np.searchsorted(known, frames, side="right") - 1
         after = np.minimum(before + 1, len(known) - 1)
         genus = [self.readings[known[k]].genus for k in before]
-        sure = [
-            self.readings[known[a]].sure and (self.readings[known[b]].sure or known[a] == f)
-            for a, b, f in zip(before, after, frames.tolist(), strict=True)
-        ]
         edges = [0, *(k for k in range(1, len(genus)) if genus[k] != genus[k - 1]), len(genus)]
         spans = [(low, high) for low, high in itertools.pairwise(edges)]
         kept = [genus[low] for low, high in spans if self._holds(low, high)]
         value = kept[0] if kept else min(genus)
-        settled = []
+        settled: list[int] = []
         for low, high in spans:
-            value = genus[low] if self._holds(low, high) else value
+            if self._holds(low, high) and (genus[low] < value or self._may_grow(low, high)):
+                value = genus[low]
             settled += [value] * (high - low)
-        sure = [s and read == value for s, read, value in zip(sure, genus, settled, strict=True)]
+        sure = [
+            self._fits(known[a], value) and (known[a] == frame or self._fits(known[b], value))
+            for a, b, frame, value in zip(before, after, frames.tolist(), settled, strict=True)
+        ]
         return settled, sure
+
+    def _may_grow(self, low: int, high: int) -> bool:
+        """Whether something was merged shortly before or in a span of the track."""
+        first = self.first + low - FLICKER
+        return low == 0 or any(self.joined[max(first, 0) : self.first + high])
+
+    def _fits(self, frame: int, genus: int) -> bool:
+        """Whether the reading of a key frame leaves this genus possible."""
+        reading, offset = self.readings[frame], frame - self.first
+        # In dough that is nowhere cut and has not merged, a handle too many is a pore.
+        pores = not reading.walled and not self._may_grow(max(offset, 1), offset + 1)
+        return genus <= reading.highest and (pores or reading.lowest <= genus)
 
     def _holds(self, low: int, high: int) -> bool:
         """Whether a span of equal readings is firm somewhere, and no flicker."""
@@ -183,6 +203,7 @@ class _Track:
                     sure=sure[offset] and _rank(skeleton) == genus[offset],
                     nodes=skeleton.positions + moved,
                     skeleton=skeleton,
+                    parted=reading is not None and reading.parted,
                 )
             )
         return shapes
@@ -195,25 +216,56 @@ class _Track:
         return self.readings[min(near, key=lambda f: (abs(f - frame), f))].solid
 
 
+def refine(
+    low: int,
+    high: int,
+    read: Callable[[int], object],
+    positions: Float32[np.ndarray, "frames particles 3"],
+    still: float,
+) -> None:
+    """Read between two key frames until readings that agree are at most `STRIDE` apart.
+
+    Or until no particle has moved by `still` [m] along an axis between them.
+    """
+    if read(low) == read(high):
+        moved = np.abs(positions[high] - positions[low]).max()
+        if high - low <= STRIDE or moved < still:
+            return
+    if high - low <= 1:
+        return
+    middle = (low + high) // 2
+    refine(low, middle, read, positions, still)
+    refine(middle, high, read, positions, still)
+
+
 def read_shapes(
     positions: Float32[np.ndarray, "frames particles 3"],
     labels: Sequence[UInt8[np.ndarray, " particles"]],
     bonds: Sequence[Int64[np.ndarray, "_ 2"]],
     contacts: Sequence[Int64[np.ndarray, "_ 2"]],
     *,
+    joined: Sequence[bool],
     spacing: float,
     radii: tuple[float, ...],
 ) -> list[list[Shape]]:
     """Shapes of every key frame, in the order of the labels.
 
     Solids stay open along `contacts` (unmerged near pairs) unless their sides join nearby by
-    `bonds` (short ones). The first of `radii` [spacings] gives the genus, the others say whether it
-    is sure.
+    `bonds` (short ones). `joined` tells the key frames in which something was merged. The first of
+    `radii` [spacings] gives the genus, the others say whether it is sure.
     """
     found: list[list[Shape]] = [[] for _ in labels]
     for label, first, members in _runs(labels):
         track = _Track(
-            label, first, members, positions, bonds, contacts, spacing=spacing, radii=radii
+            label,
+            first,
+            members,
+            positions,
+            bonds,
+            contacts,
+            joined=joined,
+            spacing=spacing,
+            radii=radii,
         )
         for offset, shape in enumerate(track.shapes()):
             found[first + offset].append(shape)

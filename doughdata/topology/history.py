@@ -12,9 +12,9 @@ from doughdata.topology.bonds import BondGraph
 from doughdata.topology.crops import SIDE_BOND
 from doughdata.topology.fingers import Gripper, gripper_at
 from doughdata.topology.merges import Patch, merge_patches
-from doughdata.topology.pairs import connected, decode, encode
+from doughdata.topology.pairs import connected, encode, is_member
 from doughdata.topology.pulls import PullTest, disjoint_paths, make_test, run_tests
-from doughdata.topology.splits import Neck, split_necks
+from doughdata.topology.splits import Neck, compression, split_necks
 from doughschemas import Particles, Scene
 
 if TYPE_CHECKING:
@@ -47,6 +47,12 @@ class FrameState:
     contacts: Int64[np.ndarray, "contacts 2"]  # unmerged near pairs
     decisions: tuple[Decision, ...]
     bonds: Int64[np.ndarray, " bonds"]  # keys of the short ones
+    touching: Int32[np.ndarray, " particles"]  # pieces of the static check: near is one
+
+    @property
+    def joined(self) -> bool:
+        """Whether something was merged."""
+        return any(d.kind == "merge" and d.passed for d in self.decisions)
 
 
 @dataclass(slots=True)
@@ -119,23 +125,33 @@ class History:
         return merge_patches(
             self.graph,
             gap=config.patch_gap,
+            nearest=max(config.test_gap, config.seam_gap),
             link=config.patch_link,
             length=config.patch_length,
             radius=config.crop,
             seam_gap=config.seam_gap,
+            settled=lambda centre, size, gap: self._settled("merge", centre, size, gap),
         )
 
     def _cross(self, gripper: Gripper) -> None:
         """Break bonds through a finger: a rigid body is between their ends."""
         graph, s = self.graph, self.graph.spacing
-        close = gripper.near(graph.positions, graph.reach * s / 2)
+        reach = graph.reach * s / 2
+        distance = gripper.distances_within(graph.positions, reach)
+        close = np.asarray((distance < reach).any(axis=0))
         if not close.any():
             return
-        keys = graph.near[close[graph.near // graph.count] & close[graph.near % graph.count]]
-        ends = graph.positions[decode(keys, graph.count)]
-        through = gripper.between(ends[:, 0], ends[:, 1], self.config.finger_depth * s)
+        rows = np.flatnonzero(close.take(graph.pairs[:, 0]) & close.take(graph.pairs[:, 1]))
+        rows = rows[~is_member(graph.near[rows], graph.crossed)]
+        pairs = graph.pairs[rows]
+        through = gripper.between(
+            graph.positions[pairs[:, 0]],
+            graph.positions[pairs[:, 1]],
+            self.config.finger_depth * s,
+            distances=distance[:, pairs],
+        )
         if through.any():
-            graph.cross(keys[through])
+            graph.cross(rows[through])
 
     def _split(self, gripper: Gripper) -> None:
         config, graph = self.config, self.graph
@@ -144,7 +160,9 @@ class History:
         tests = [self._neck_test(neck, gripper) for neck in asked]
         for neck, test, pulled in zip(asked, tests, run_tests(tests, self.puller), strict=True):
             # Particles piled up in a narrow gap are more paths than the dough there is worth.
-            paths = self._paths(pulled, test) / neck.compression
+            core = graph.positions[neck.core]
+            pressed = compression(core, graph.spacing, gripper, neck.opening)
+            paths = self._paths(pulled, test) / pressed
             parted = paths < config.split_paths
             self._note(*_neck_key(neck, graph.spacing), paths, parted, config.split_paths)
             if parted:
@@ -231,11 +249,22 @@ class History:
         for known in self.standing:
             if known.kind != kind or np.linalg.norm(known.centre - centre) > self.config.same_place:
                 continue
-            if known.kind == "merge":
-                grown = size > self.config.grown * known.size
-                return not (grown or gap < known.gap - self.config.closer)
-            return gap > known.gap - self.config.closer
+            grown = kind == "merge" and size > self.config.grown * known.size
+            return not grown and gap > known.gap - self._step(known)
         return False
+
+    def _step(self, known: Decision) -> float:
+        """How much [spacings] a gap must close before it is worth asking again.
+
+        More where the answer cannot turn yet: a patch without any path, still wider than a seam,
+        and a neck with many paths, for they come and go over a fifth of the opening.
+        """
+        config = self.config
+        if known.kind == "merge":
+            far = known.paths == 0 and known.gap - config.closer_far > config.seam_gap
+            return config.closer_far if far else config.closer
+        beyond = 1 - config.split_paths / max(known.paths, config.split_paths)
+        return max(config.closer, config.closer_far * known.gap * beyond)
 
     def _note(
         self,
@@ -268,12 +297,12 @@ class History:
     def _state(self) -> FrameState:
         graph = self.graph
         pieces = graph.pieces()
-        contacts = decode(graph.contacts, graph.count)
         return FrameState(
             pieces=pieces,
-            contacts=contacts,
+            contacts=graph.pairs[graph.contact],
             decisions=tuple(self.decisions),
             bonds=graph.bonded_keys(SIDE_BOND),
+            touching=graph.touching(self.config.static.radius),
         )
 
 

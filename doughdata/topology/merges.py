@@ -1,13 +1,14 @@
 """Merge candidates: where near surfaces may have become one piece."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64
 
 from doughdata.topology.bonds import BondGraph
-from doughdata.topology.crops import SIDE_BOND, chunks, crop, sides
-from doughdata.topology.pairs import decode, encode, lengths
+from doughdata.topology.crops import SIDE_BOND, Crop, chunks
+from doughdata.topology.pairs import encode, lengths
 
 __all__ = ["Patch", "merge_patches"]
 
@@ -31,19 +32,32 @@ class Patch:
 
 
 def merge_patches(
-    graph: BondGraph, *, gap: float, link: float, length: float, radius: float, seam_gap: float
+    graph: BondGraph,
+    *,
+    gap: float,
+    nearest: float,
+    link: float,
+    length: float,
+    radius: float,
+    seam_gap: float,
+    settled: Callable[[Float64[np.ndarray, " 3"], int, float], bool],
 ) -> list[Patch]:
     """Patches that may have merged. Patches whose sides already join close by are settled at once.
+
+    A patch is made up of contacts up to `gap` spacings long; one without any below `nearest` is
+    left out, and so is one that `settled` knows by its centre [m], its size and its gap.
 
     A patch that only extends a merged seam (its sides are one piece even within 5 mm) is bonded
     where the local gap is below `seam_gap` spacings; no pull can part it from its seam.
     """
-    keys = graph.contacts[~graph.locked(graph.contacts)]
-    pairs = decode(keys, graph.count)
+    open_rows = np.flatnonzero(graph.contact & (graph.lengths < gap * graph.spacing))
+    pairs = graph.pairs[open_rows[~graph.locked(open_rows)]]
     x, s = graph.positions, graph.spacing
     found: list[Patch] = []
     parts = chunks(x, pairs, longest=gap * s, link=link * s, length=length)
     parts = [pairs[rows] for rows in parts if len(rows) >= FEWEST_PAIRS]
+    parts = [part for part in parts if lengths(x, part).min() < nearest * s]
+    parts = [p for p in parts if not settled(_centre(x, p), len(p), _gap(lengths(x, p)) / s)]
     if not parts:
         return found
     bonds = graph.bonded_pairs(SIDE_BOND)
@@ -55,7 +69,7 @@ def merge_patches(
             _extend_seam(graph, part, seam_gap)
             continue
         found += _patches(graph, part[apart], piece)
-    return found
+    return [patch for patch in found if patch.gap < nearest]
 
 
 def _split_sides(
@@ -64,14 +78,18 @@ def _split_sides(
     pairs: Int64[np.ndarray, "pairs 2"],
     radius: float,
 ) -> Int32[np.ndarray, " particles"]:
-    """Bonded pieces around a patch; the crop shrinks until the two sides differ."""
-    core = np.unique(pairs)
+    """Bonded pieces around a patch (-1 elsewhere); the crop shrinks until the two sides differ."""
+    around = Crop(graph.positions, bonds, np.unique(pairs), radius)
+    ends = around.place[pairs]
     while True:
-        piece = sides(graph, bonds, crop(graph.positions, core, radius))
-        mixed = np.intersect1d(piece[pairs[:, 0]], piece[pairs[:, 1]])
+        piece = around.pieces(radius)
+        mixed = np.intersect1d(piece[ends[:, 0]], piece[ends[:, 1]])
         if len(mixed) == 0 or radius <= SMALLEST_CROP:
-            return piece
+            break
         radius *= SHRINK
+    found = np.full(graph.count, -1, np.int32)
+    found[around.indices] = piece
+    return found
 
 
 def _extend_seam(graph: BondGraph, pairs: Int64[np.ndarray, "pairs 2"], seam_gap: float) -> None:
@@ -111,13 +129,23 @@ def _patch(
     step = x[pairs[:, 1]] - x[pairs[:, 0]]
     distance = np.linalg.norm(step, axis=1)
     normal = (step / distance[:, None] ** 2).sum(axis=0)  # close pairs count most
-    closest = np.sort(distance)[: max(FEWEST_PAIRS, len(pairs) // 10)]
     return Patch(
         pairs=pairs,
         first=first,
         second=second,
         core=np.unique(pairs),
         normal=normal / np.linalg.norm(normal),
-        centre=x[pairs].mean(axis=(0, 1)),
-        gap=float(closest.mean() / graph.spacing),
+        centre=_centre(x, pairs),
+        gap=_gap(distance) / graph.spacing,
     )
+
+
+def _centre(
+    positions: Float64[np.ndarray, "particles 3"], pairs: Int64[np.ndarray, "pairs 2"]
+) -> Float64[np.ndarray, " 3"]:
+    return positions[pairs].mean(axis=(0, 1))
+
+
+def _gap(distance: Float64[np.ndarray, " pairs"]) -> float:
+    """Mean of the closest tenth."""
+    return float(np.sort(distance)[: max(FEWEST_PAIRS, len(distance) // 10)].mean())

@@ -3,14 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float64, Int32, Int64
 from scipy.spatial import KDTree
 
 from doughdata.topology.bonds import BondGraph
-from doughdata.topology.crops import SIDE_BOND, crop, sides
+from doughdata.topology.crops import SIDE_BOND, Crop, in_box
 from doughdata.topology.fingers import Gripper
+from doughdata.topology.pairs import connected
 
-__all__ = ["Neck", "split_necks"]
+__all__ = ["Neck", "compression", "split_necks"]
 
 SMALLEST_SIDE = 15  # particles
 BESIDE = 0.006  # [m], of dough beside a neck over which its thickness is measured
@@ -30,7 +31,6 @@ class Neck:
     around: Int64[np.ndarray, " crop"]
     opening: float  # [m], gap between the fingers where the neck is thinnest
     centre: Float64[np.ndarray, " 3"]  # [m]
-    compression: float  # particle volume over the room that they have; at least 1
 
 
 def split_necks(graph: BondGraph, gripper: Gripper, *, radius: float, gate: float) -> list[Neck]:
@@ -40,16 +40,30 @@ def split_necks(graph: BondGraph, gripper: Gripper, *, radius: float, gate: floa
     if len(region) == 0:
         return []
     bonds = graph.bonded_pairs(SIDE_BOND)
-    piece = sides(graph, bonds, region)
-    sizes = np.bincount(piece[region], minlength=graph.count)
-    loose = region[sizes[piece[region]] < SMALLEST_SIDE]  # scraps that would bridge the neck
+    piece = _pieces_of(graph.count, bonds, region)
+    sizes = np.bincount(piece)
+    loose = region[sizes[piece] < SMALLEST_SIDE]  # scraps that would bridge the neck
+    along, across = x @ gripper.closing, x @ gripper.lateral
     necks = []
     for number in np.flatnonzero(sizes):
-        core = region[piece[region] == number]
-        neck = _neck(graph, bonds, gripper, core, np.union1d(core, loose), opening, radius)
-        if neck is not None and opening < gate * _thickness(x, gripper, neck):
+        core = region[piece == number]
+        if opening >= gate * np.ptp(along[in_box(x, x[core], radius)]):
+            continue  # no dough beside it can be thick enough
+        neck = _neck(graph, bonds, across, core, np.union1d(core, loose), opening, radius)
+        if neck is not None and opening < gate * _thickness(along, across, neck):
             necks.append(neck)
     return sorted(necks, key=lambda neck: tuple(neck.centre))
+
+
+def _pieces_of(
+    count: int, bonds: Int64[np.ndarray, "bonds 2"], members: Int64[np.ndarray, " members"]
+) -> Int32[np.ndarray, " members"]:
+    """Bonded piece of each member among `count` particles when all others are taken away."""
+    place = np.full(count, -1)
+    place[members] = np.arange(len(members))
+    ends = np.stack([place.take(bonds[:, 0]), place.take(bonds[:, 1])], axis=1)
+    kept = np.flatnonzero((ends[:, 0] >= 0) & (ends[:, 1] >= 0))
+    return connected(ends.take(kept, axis=0), len(members))
 
 
 def _between_fingers(
@@ -79,49 +93,46 @@ def _between_fingers(
 def _neck(
     graph: BondGraph,
     bonds: Int64[np.ndarray, "bonds 2"],
-    gripper: Gripper,
+    across: Float64[np.ndarray, " particles"],
     core: Int64[np.ndarray, " core"],
     removed: Int64[np.ndarray, " removed"],
     opening: float,
     radius: float,
 ) -> Neck | None:
     """The neck of one cluster if dough lies on both its sides, apart once `removed` is gone."""
-    x = graph.positions
-    across = x @ gripper.lateral
-    middle = across[core].mean()
-    beside = _bonded_to(bonds, core, graph.count)
+    crop = Crop(graph.positions, bonds, core, radius)
+    place = across[crop.indices] - across[core].mean()
+    beside = _bonded_to(crop.bonds, crop.place[core], len(place))
     while radius >= SMALLEST_CROP:
-        around = crop(x, core, radius)
-        piece = sides(graph, bonds, around, leave_out=removed)
-        rest = around[piece[around] >= 0]
-        first, second = [], []
-        for number in np.unique(piece[rest]):
-            own = piece[rest] == number
-            if own.sum() >= SMALLEST_SIDE and beside[rest[own]].any():
-                side = rest[own]
-                (first if across[side].mean() < middle else second).append(side)
-        if first and second:
+        piece = crop.pieces(radius, leave_out=removed)
+        rest = piece >= 0
+        size = np.bincount(piece[rest], minlength=len(piece))
+        middle = np.bincount(piece[rest], place[rest], minlength=len(piece)) / np.maximum(size, 1)
+        held = np.bincount(piece[rest & beside], minlength=len(piece)) > 0
+        side = np.where(held & (size >= SMALLEST_SIDE), np.where(middle < 0, 1, 2), 0)
+        own = np.where(rest, side[piece], 0)
+        if (own == 1).any() and (own == 2).any():
             return Neck(
                 core=core,
-                first=np.concatenate(first),
-                second=np.concatenate(second),
-                around=around,
+                first=crop.indices[own == 1],
+                second=crop.indices[own == 2],
+                around=crop.indices[crop.distance <= radius],
                 opening=opening,
-                centre=x[core].mean(axis=0),
-                compression=_compression(x[core], graph.spacing, gripper, opening),
+                centre=graph.positions[core].mean(axis=0),
             )
         radius *= SHRINK
     return None
 
 
-def _compression(
-    core: Float64[np.ndarray, "core 3"], s: float, gripper: Gripper, opening: float
+def compression(
+    core: Float64[np.ndarray, "core 3"], spacing: float, gripper: Gripper, opening: float
 ) -> float:
-    """How many times denser than at rest the particles between the fingers are.
+    """How many times denser than at rest the particles [m] between the fingers are; at least 1.
 
     Between nearly closed fingers a simulation piles particles up in less room than they stand
     for; the room is counted in small cells.
     """
+    s = spacing
     axes = np.stack([gripper.closing, gripper.lateral, [0.0, 0.0, 1.0]])
     local = core @ axes.T
     step = np.array([max(opening, 0.1 * s) / 4, s / 3, s / 3])
@@ -142,13 +153,15 @@ def _bonded_to(
     inner = np.zeros(count, dtype=bool)
     inner[core] = True
     touched = np.zeros(count, dtype=bool)
-    touched[bonds[inner[bonds].any(axis=1)]] = True
+    touched[bonds[:, 0][inner[bonds[:, 1]]]] = True
+    touched[bonds[:, 1][inner[bonds[:, 0]]]] = True
     return touched & ~inner
 
 
-def _thickness(x: Float64[np.ndarray, "particles 3"], gripper: Gripper, neck: Neck) -> float:
+def _thickness(
+    along: Float64[np.ndarray, " particles"], across: Float64[np.ndarray, " particles"], neck: Neck
+) -> float:
     """Thickness [m] along the closing axis of the thinner side, next to the neck."""
-    along, across = x @ gripper.closing, x @ gripper.lateral
     middle = across[neck.core].mean()
     thickness = []
     for side in (neck.first, neck.second):

@@ -1,12 +1,13 @@
 """The static check: what is near is one. The baseline beside the dynamic check."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt8
 
-from doughdata.topology.genus import Shape, scene_graph
+from doughdata.topology.genus import Shape, refine, scene_graph
 from doughdata.topology.pairs import connected, decode, near_keys
 from doughdata.topology.record import bond_changes
 from doughdata.topology.skeletons import cycle_rank, skeleton_of
@@ -20,7 +21,7 @@ from doughdata.topology.tracking import (
 )
 from doughschemas import FrameTopology, Particles, Scene, Topology
 
-__all__ = ["StaticCheck", "StaticConfig", "StaticFrame", "static_frames"]
+__all__ = ["StaticCheck", "StaticConfig", "StaticFrame", "static_frames", "static_genus"]
 
 STILL = 0.1  # [spacings]; a state that moved less than this keeps its reading
 
@@ -67,7 +68,9 @@ class StaticCheck:
         made, broken = bond_changes([own.bonds for own in read], len(particles.object_ids))
         events = []
         for k in range(1, len(frames)):
-            events += find_events(k, frames[k - 1], frames[k], cut=True, margins={})
+            events += find_events(
+                k, frames[k - 1], frames[k], cut=[True] * frames[k].num_components, margins={}
+            )
         return Topology(
             frames=tuple(frames),
             events=tuple(events),
@@ -89,14 +92,49 @@ def static_frames(particles: Particles, config: StaticConfig) -> list[StaticFram
             continue
         bonds = near_keys(x, config.radius * particles.spacing)
         parts = components_of(connected(decode(bonds, len(x)), len(x)), crumb=crumb)
-        solids = [
-            Closing(x[part], particles.spacing, largest=config.radius).solid(config.radius)
-            for part in parts
-        ]
+        solids = _solids(x, parts, particles.spacing, config.radius)
         genus = tuple(solid_genus(solid.inside) for solid in solids)
         found.append(StaticFrame(parts=parts, solids=solids, genus=genus, bonds=bonds))
         read_at = x
     return found
+
+
+def static_genus(
+    particles: Particles, pieces: Sequence[Int32[np.ndarray, " particles"]], config: StaticConfig
+) -> list[tuple[int, ...]]:
+    """Genus of every component of the static check in every key frame, largest component first.
+
+    `pieces` are those of particles nearer than `config.radius`. As in the dynamic check, solids are
+    read at least every `STRIDE` key frames and wherever two readings differ, and kept in between.
+    """
+    crumb = crumb_limit(particles, config.crumb_share, config.crumb_volume)
+    parts = [components_of(piece, crumb=crumb) for piece in pieces]
+    read: dict[int, tuple[int, ...]] = {}
+
+    def genus(frame: int) -> tuple[int, ...]:
+        if frame not in read:
+            x = np.asarray(particles.positions[frame], np.float64)
+            solids = _solids(x, parts[frame], particles.spacing, config.radius)
+            read[frame] = tuple(solid_genus(solid.inside) for solid in solids)
+        return read[frame]
+
+    counts = [len(own) for own in parts]
+    edges = [0, *(k for k in range(1, len(counts)) if counts[k] != counts[k - 1]), len(counts)]
+    for first, end in itertools.pairwise(edges):
+        refine(first, end - 1, genus, particles.positions, STILL * particles.spacing)
+    found: list[tuple[int, ...]] = []
+    for frame in range(len(parts)):
+        found.append(read.get(frame) or found[-1])
+    return found
+
+
+def _solids(
+    x: Float64[np.ndarray, "particles 3"],
+    parts: Sequence[Int32[np.ndarray, " _"]],
+    spacing: float,
+    radius: float,
+) -> list[Solid]:
+    return [Closing(x[part], spacing, largest=radius).solid(radius) for part in parts]
 
 
 def _frame(

@@ -106,14 +106,14 @@ def find_events(
     before: FrameTopology,
     after: FrameTopology,
     *,
-    cut: bool,
+    cut: Sequence[bool],
     margins: Mapping[str, float],
 ) -> list[TopologyEvent]:
     """What happened between key frame `frame - 1` and `frame`.
 
     Components that share particles form a group. Its number of components tells merges and splits;
     what its total genus then gains or loses is a self-merge (a new handle, or a hole that closed)
-    or, where a neck was `cut` and the genus fell, a self-split. `margins` are those of the
+    or, where the genus fell in a component that was `cut`, a self-split. `margins` are those of the
     decisions around this key frame, by kind (merge, split); 0 where no pull test decided.
     """
     events = []
@@ -125,7 +125,8 @@ def find_events(
         if len(new) > 1:
             kinds.append("split")
         if gain != 0:
-            kinds.append("self_split" if gain < 0 and cut else "self_merge")
+            parted = gain < 0 and any(cut[k] for k in new)
+            kinds.append("self_split" if parted else "self_merge")
         events += [
             TopologyEvent(
                 frame=frame,

@@ -1,5 +1,6 @@
 """The signed distance of fingers, judged by closed forms and by trimesh."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -105,3 +106,46 @@ def test_a_missing_mesh_is_refused_by_name() -> None:
     """A mesh file that does not exist is one clear error."""
     with pytest.raises(SceneError, match=r"nowhere\.stl.*not found"):
         finger_sdf(Tool(name="lost", mesh="nowhere.stl"))
+
+
+@pytest.mark.parametrize("suffix", ["obj", "stl", "glb"])
+def test_every_format_gives_the_same_distance(tmp_path: Path, suffix: str) -> None:
+    """One finger in millimetres has the distance of the box it is, from OBJ, STL and GLB."""
+    path = tmp_path / f"finger.{suffix}"
+    box = trimesh.creation.box(extents=[20.0, 3.0, 50.0])
+    box.apply_translation([10.0, 0.0, 25.0])
+    box.export(path)
+    grid = finger_sdf(Tool(name="mm", mesh=str(path), scale=0.001))
+    points = np.random.default_rng(5).uniform([-0.01, -0.01, -0.01], [0.03, 0.01, 0.06], (5_000, 3))
+    assert np.abs(grid.sample(points) - finger_sdf(PRESETS["narrow"]).sample(points)).max() < 1e-6
+
+
+@pytest.mark.parametrize("faces", ["all", "some"])
+def test_inverted_normals_change_nothing(tmp_path: Path, capsule_tool: Tool, faces: str) -> None:
+    """Inside stays negative when every face, or every third one, is wound the wrong way round."""
+    mesh = trimesh.load(capsule_tool.mesh, force="mesh")
+    turned = mesh.faces.copy()
+    chosen = slice(None) if faces == "all" else slice(None, None, 3)
+    turned[chosen] = turned[chosen, ::-1]
+    path = tmp_path / "turned.obj"
+    trimesh.Trimesh(mesh.vertices, turned, process=False).export(path)
+    other = finger_sdf(replace(capsule_tool, mesh=str(path)))
+    assert np.abs(other.values - finger_sdf(capsule_tool).values).max() < 1e-6
+
+
+def test_a_file_in_millimetres_is_refused_with_the_scale(tmp_path: Path) -> None:
+    """A finger tens of metres long is one clear line that names the scale to set."""
+    path = tmp_path / "finger.stl"
+    trimesh.creation.box(extents=[10, 10, 50]).export(path)
+    with pytest.raises(SceneError, match=r"finger\.stl.*at most 0\.5 m.*50 m.*scale 0\.001"):
+        finger_sdf(Tool(name="mm", mesh=str(path)))
+
+
+def test_an_open_mesh_is_refused(tmp_path: Path) -> None:
+    """A finger with a hole has no inside: one clear line."""
+    path = tmp_path / "open.stl"
+    box = trimesh.creation.box(extents=[0.01, 0.01, 0.05])
+    box.update_faces(np.arange(len(box.faces)) > 0)
+    box.export(path)
+    with pytest.raises(SceneError, match=r"open\.stl.*watertight"):
+        finger_sdf(Tool(name="open", mesh=str(path)))

@@ -1,8 +1,11 @@
 """States whose topology anyone would agree on, built from lattices."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from doughdata.scenes.tools import PRESETS
 from doughdata.sim.pull import MpmPullApart
 from doughdata.topology.dynamic import DynamicCheck
 from doughdata.topology.skeletons import cycle_rank
@@ -192,3 +195,17 @@ def test_crumbs_are_stray() -> None:
     topology = DynamicCheck().check(*record(x))
     assert topology.frames[0].num_components == 1
     assert (topology.frames[0].labels == STRAY).sum() == 8
+
+
+def test_blade_through_a_ring_is_a_self_split() -> None:
+    """A blade that goes right through one tube of a ring takes its handle: a self-split."""
+    x = ring()
+    slit = (x[:, 0] > 0) & (np.abs(x[:, 1]) < 0.006)
+    parted = x + np.where(slit, np.sign(x[:, 1]) * 0.0012, 0.0)[:, None] * [0.0, 1.0, 0.0]
+    scene, particles = record(*[x] * 5, *[parted] * 5)
+    particles.tool_poses.position[5:, 0] = [0.011, 0.0, 0.0]  # covers the tube at y = 0
+    scene = replace(scene, tools=(PRESETS["narrow"],))
+    topology = DynamicCheck(pull_apart=MpmPullApart()).check(scene, particles)
+    assert [f.genus for f in topology.frames] == [(1,)] * 5 + [(0,)] * 5
+    assert [(e.frame, e.kind) for e in topology.events] == [(5, "self_split")]
+    check_contract(topology)

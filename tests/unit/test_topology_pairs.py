@@ -1,6 +1,6 @@
 import numpy as np
 
-from doughdata.topology.pairs import connected, decode, encode, near_keys, without
+from doughdata.topology.pairs import connected, decode, encode, near_keys, rows_of, without
 from doughdata.topology.pulls import disjoint_paths
 
 
@@ -46,3 +46,29 @@ def test_disjoint_paths_through_a_bottleneck() -> None:
     first, second = x[:, 2] == 0, x[:, 2] == 2
     assert disjoint_paths(x, first, second, 1.1) == 1
     assert disjoint_paths(x[:-1], first[:-1], second[:-1], 1.1) == 0
+
+
+def test_pieces_of_many_pairs_match_a_search() -> None:
+    """Pieces found from many pairs are those that a plain breadth-first search finds."""
+    rng = np.random.default_rng(2)
+    count = 60
+    pairs = rng.integers(0, count, (40 * count, 2))
+    pairs = pairs[(pairs[:, 0] < 20) == (pairs[:, 1] < 20)]  # two parts at least
+    pairs = pairs[(pairs != 7).all(axis=1)]  # and a lone particle
+    piece = np.full(count, -1)
+    for start in range(count):
+        front = [start] if piece[start] < 0 else []
+        number = piece.max() + 1
+        while front:
+            now = front.pop()
+            if piece[now] < 0:
+                piece[now] = number
+                front += pairs[pairs[:, 0] == now, 1].tolist()
+                front += pairs[pairs[:, 1] == now, 0].tolist()
+    assert connected(pairs, count).tolist() == piece.tolist()
+
+
+def test_rows_of_keys() -> None:
+    """The rows found in a sorted table are those of the keys that it holds."""
+    assert rows_of(np.array([9, 2, 4]), np.array([1, 4, 9])).tolist() == [2, 1]
+    assert rows_of(np.array([3]), np.zeros(0, np.int64)).tolist() == []
