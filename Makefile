@@ -30,6 +30,7 @@ demo: setup
 	$(BIN)/doughdata view --save $(DEMO)-sheet.png --dataset $(DEMO)
 
 test: setup
+	bash scripts/browser.sh
 	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
 
 test-slow: setup

@@ -3,16 +3,20 @@
 `python benchmarks/meshing.py --json` prints one JSON object on one line. The states are solids in
 closed form, sampled with particles 2 mm apart and then squeezed to 0.45x or stretched to 2x at
 constant volume, so that the benchmark needs no simulator. `--full` takes more states.
+`--frames 200` takes key frames of simulated and checked scenes of both families instead (minutes),
+`--dataset URI` those of a dataset that holds them already.
 """
 
 import argparse
 import json
 import time
+from collections.abc import Iterator
+from itertools import islice, product
 
 import numpy as np
 
 from doughdata import registry
-from doughdata.mesh.checks import is_edge_manifold, is_vertex_manifold, mesh_volume
+from doughdata.mesh.checks import is_edge_manifold, is_vertex_manifold, mesh_genus, mesh_volume
 from doughdata.stages import Mesher
 from doughschemas import ComponentMesh, FrameTopology, SceneGraph
 
@@ -63,6 +67,7 @@ def measure(mesher: Mesher, states: list[tuple[Cloud, FrameTopology]]) -> dict[s
     results = [mesher.mesh(x, topology, spacing=SPACING) for x, topology in states]
     seconds = time.process_time() - start
     meshes = [mesh for result in results for mesh in result.meshes]
+    genera = [genus for _, topology in states for genus in topology.genus]
     wanted = [
         np.count_nonzero(topology.labels == label) * SPACING**3
         for _, topology in states
@@ -80,9 +85,42 @@ def measure(mesher: Mesher, states: list[tuple[Cloud, FrameTopology]]) -> dict[s
         "watertight": float(np.mean([is_edge_manifold(m.faces) for m in meshes])),
         "manifold": float(np.mean([is_vertex_manifold(m.faces) for m in meshes])),
         "overlap_mm3": round(max(_overlap(r.meshes) for r in results) * 1e9, 6),
-        "volume_error_max": round(max(errors), 5),
-        "self_intersecting": sum(_cuts_itself(m) for m in meshes),
+        "volume_error_max": round(float(max(errors)), 5),
+        "genus_of_label": float(
+            np.mean([mesh_genus(m.faces) == g for m, g in zip(meshes, genera, strict=True)])
+        ),
+        "self_intersecting": float(np.mean([any(map(_cuts_itself, r.meshes)) for r in results])),
     }
+
+
+def simulated_frames(count: int) -> list[tuple[Cloud, FrameTopology]]:
+    """Every third key frame of scenes of both families, as `doughdata generate` makes them."""
+    from doughdata.scene_work import simulate_scene
+    from doughdata.sim.mpm import MpmSimulator, draft
+    from doughdata.sim.pull import MpmPullApart
+
+    simulator = MpmSimulator(draft())
+    check = registry.load("topology", "dynamic")(pull_apart=MpmPullApart())
+
+    def states() -> Iterator[tuple[Cloud, FrameTopology]]:
+        for number, family in product(range(count), ("rolls", "doughnut")):
+            scene = registry.load("scenes", family)().sample(seed=0, number=number, split="train")
+            particles = simulate_scene(simulator, scene)
+            topology = check.check(scene, particles)
+            yield from list(zip(particles.positions, topology.frames, strict=True))[::3]
+
+    return list(islice(states(), count))
+
+
+def stored_frames(uri: str, count: int) -> list[tuple[Cloud, FrameTopology]]:
+    """Key frames of a dataset with 2 mm particles, evenly spread."""
+    from doughdata import open_dataset
+
+    dataset = open_dataset(uri)
+    keys = list(product(dataset.scene_indices, range(dataset.num_frames)))
+    chosen = np.unique(np.linspace(0, len(keys) - 1, min(count, len(keys))).round().astype(int))
+    stored = [dataset.frame(scene=keys[k][0], frame=keys[k][1]) for k in chosen]
+    return [(frame.particles.positions, frame.topology) for frame in stored]
 
 
 def _lattice(low: tuple[float, ...], high: tuple[float, ...], seed: int) -> Cloud:
@@ -136,13 +174,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true", help="print one JSON object on one line")
     parser.add_argument("--full", action="store_true", help="60 states instead of 12")
+    parser.add_argument("--frames", type=int, metavar="N", help="N simulated key frames instead")
+    parser.add_argument("--dataset", metavar="URI", help="take them from this dataset")
+    parser.add_argument("--mesher", action="append", metavar="NAME", help="default: every one")
     options = parser.parse_args()
-    states = frames(20 if options.full else 4)
-    result = {
+    if options.dataset:
+        states = stored_frames(options.dataset, options.frames or 200)
+    elif options.frames:
+        states = simulated_frames(options.frames)
+    else:
+        states = frames(20 if options.full else 4)
+    results = {
         name: measure(registry.load("meshers", name)(), states)
-        for name in registry.names("meshers")
+        for name in options.mesher or registry.names("meshers")
     }
-    result = {**result["dual-contouring"], "marching-cubes": result["marching-cubes"]}
+    first = results.pop("dual-contouring", {})
+    result = {"benchmark": "meshing", **first, **results}
     print(json.dumps(result) if options.json else json.dumps(result, indent=2))
 
 

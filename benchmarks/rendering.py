@@ -18,13 +18,11 @@ import numpy as np
 import trimesh
 
 from doughdata.geometry import pixel_rays, quaternion_to_matrix, transform_points
-from doughdata.registry import load
+from doughdata.registry import load, names
 from doughdata.render.cameras import default_camera
 from doughdata.render.depth import DepthRenderer, quantised
 from doughdata.scenes.tools import finger_mesh, finger_poses, tool_preset
 from doughschemas import Action, Camera, ComponentMesh, Intrinsics
-
-SENSORS = ("none", "realsense", "blenderproc")
 
 
 def record(mesh: trimesh.Trimesh) -> ComponentMesh:
@@ -108,7 +106,7 @@ def main() -> None:
     parser.add_argument("--full", action="store_true", help="30 repeats instead of 8")
     options = parser.parse_args()
     repeats, scene = 30 if options.full else 8, make_scene()
-    seconds = {name: cpu_seconds(view_work(scene, name), repeats) for name in SENSORS}
+    seconds = {name: cpu_seconds(view_work(scene, name), repeats) for name in names("sensors")}
     engine, reference = reference_seconds(scene, repeats)
     ratio = None if reference is None else round(reference / seconds["realsense"], 2)
     result = {

@@ -98,7 +98,7 @@ def plan(writer: DatasetWriter, wanted: Sequence[FamilyScenes | Scene]) -> list[
     for entry in wanted:
         if isinstance(entry, FamilyScenes):
             shards += writer.plan_family(
-                entry.family, split=entry.split, seed=entry.seed, count=entry.count
+                entry.source, split=entry.split, seed=entry.seed, count=entry.count
             )
     written = [entry for entry in wanted if isinstance(entry, Scene)]
     return shards + (writer.plan_scenes(written) if written else [])

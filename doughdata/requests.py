@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
+from doughdata.scenes import FamilyName
 from doughdata.stages import Mesher, Simulator, TopologyCheck
 
 __all__ = ["FamilyScenes", "Listener", "Silent", "Stages", "Summary"]
@@ -13,10 +14,17 @@ __all__ = ["FamilyScenes", "Listener", "Silent", "Stages", "Summary"]
 class FamilyScenes:
     """Scenes 0..count-1 of a family, for one root seed and split."""
 
-    family: str
+    family: str  # a registered name, or name:argument (`mesh:bunny.stl`)
     count: int
     seed: int = 0
     split: str = "train"
+    material: str | None = None  # a preset or `sampled`; None = the family's own
+
+    @property
+    def source(self) -> str:
+        """Family and material in one text (`FamilyName`): what a plan is recorded under."""
+        name = FamilyName.parse(self.family)
+        return str(replace(name, material=self.material or name.material))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

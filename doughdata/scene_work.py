@@ -7,16 +7,34 @@ import numpy as np
 from doughdata.dataset import Dataset
 from doughdata.render.depth import DepthStage
 from doughdata.seeds import seed_sequence
-from doughdata.stages import Mesher, Sensor, Simulator, TopologyCheck
-from doughschemas import ComponentMeshes, DepthViews, Particles, Scene, Topology
+from doughdata.stages import BatchSimulator, Mesher, Sensor, Simulator, TopologyCheck
+from doughschemas import ComponentMeshes, DepthViews, DoughError, Particles, Scene, Topology
 
-__all__ = ["check_scene", "mesh_scene", "render_scene", "simulate_scene"]
+__all__ = ["check_scene", "mesh_scene", "render_scene", "simulate_scene", "simulate_scenes"]
 
 
 def simulate_scene(simulator: Simulator, scene: Scene) -> Particles:
     """Simulate with the scene's own seed."""
-    rng = np.random.default_rng(seed_sequence(scene.seed, scene.scene_id, "simulate"))
-    return simulator.simulate(scene, rng=rng)
+    return simulator.simulate(scene, rng=_generator(scene))
+
+
+def simulate_scenes(
+    simulator: BatchSimulator, scenes: Mapping[int, Scene]
+) -> dict[int, Particles | DoughError]:
+    """Simulate scenes in batches: for each its particles, or the error that ended it."""
+    results: dict[int, Particles | DoughError] = {}
+    indices = list(scenes)
+    for start in range(0, len(indices), simulator.batch_size):
+        some = indices[start : start + simulator.batch_size]
+        made = simulator.simulate_batch(
+            [scenes[index] for index in some], rngs=[_generator(scenes[index]) for index in some]
+        )
+        results |= dict(zip(some, made, strict=True))
+    return results
+
+
+def _generator(scene: Scene) -> np.random.Generator:
+    return np.random.default_rng(seed_sequence(scene.seed, scene.scene_id, "simulate"))
 
 
 def check_scene(check: TopologyCheck, scene: Scene, dataset: Dataset, index: int) -> Topology:

@@ -7,8 +7,14 @@ from typing import Any, Protocol
 from doughdata import registry
 from doughdata.dataset import CommitRecord, Dataset, DatasetWriter, StageRecord, Task, open_dataset
 from doughdata.render.depth import DepthStage
-from doughdata.scene_work import check_scene, mesh_scene, render_scene, simulate_scene
-from doughdata.stages import Sensor
+from doughdata.scene_work import (
+    check_scene,
+    mesh_scene,
+    render_scene,
+    simulate_scene,
+    simulate_scenes,
+)
+from doughdata.stages import BatchSimulator, Sensor
 from doughschemas import DatasetError, MissingPackageError, Scene
 
 __all__ = ["RenderShard", "ShardStage", "ShardWork", "config_of", "stage_record"]
@@ -57,15 +63,25 @@ class ShardStage:
         task = tasks[self.layer]
         scenes = self.writer.scenes(task)
         dataset = None if self.layer == "sim" else open_dataset(self.writer.uri)
-        records, failed = {}, {}
+        records: dict[int, Any] = {}
+        failed: dict[int, str] = {}
+        together = self._together(scenes)
         for index, scene in scenes.items():
             try:
-                records[index] = self._work(scene, index, dataset)
+                if isinstance(error := together.get(index), Exception):
+                    raise error
+                records[index] = together.get(index) or self._work(scene, index, dataset)
             except (MissingPackageError, DatasetError):
                 raise  # not the scene's fault
             except Exception as error:  # whatever a plug-in does, the other scenes go on
                 failed[index] = reason(error)
         return [self.writer.write(task, records, stage=self.record, failed=failed, scenes=scenes)]
+
+    def _together(self, scenes: Mapping[int, Scene]) -> Mapping[int, Any]:
+        """What a simulator made of all scenes at once, if it is one that does so."""
+        if isinstance(self.stage, BatchSimulator) and self.stage.batch_size > 1:
+            return simulate_scenes(self.stage, scenes)
+        return {}
 
     def _work(self, scene: Scene, index: int, dataset: Dataset | None) -> Any:
         if dataset is None:

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float32, Float64, Int8, UInt8
 from doughschemas import (
     Camera,
     ComponentMeshes,
+    DoughError,
     FrameTopology,
     Particles,
     Scene,
@@ -21,6 +22,7 @@ from doughschemas import (
 )
 
 __all__ = [
+    "BatchSimulator",
     "DepthImage",
     "Executor",
     "Mesher",
@@ -69,6 +71,22 @@ class Simulator(Protocol):
         Raises:
             SimulationError: the run left its domain or blew up; the message names the reason.
         """
+        ...
+
+
+@runtime_checkable
+class BatchSimulator(Simulator, Protocol):
+    """A simulator that is better given several scenes at once, as on a GPU."""
+
+    @property
+    def batch_size(self) -> int:
+        """How many scenes to give it at once; with 1 `simulate` is called instead."""
+        ...
+
+    def simulate_batch(
+        self, scenes: Sequence[Scene], *, rngs: Sequence[np.random.Generator]
+    ) -> Sequence[Particles | DoughError]:
+        """For each scene its particles, or the error that ended it."""
         ...
 
 

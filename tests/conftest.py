@@ -6,7 +6,8 @@ from jaxtyping import install_import_hook
 # Not the kernels of doughdata.sim: Taichi reads their source.
 SHAPES = (
     *("scenes", "topology", "mesh", "render", "geometry", "dataset", "torch"),
-    *("sim.mpm", "sim.pull", "sim.solver"),
+    "exporters",
+    *("sim.mpm", "sim.pull", "sim.solver", "sim.batch", "sim.script", "sim.scene_run"),
 )
 install_import_hook([f"doughdata.{name}" for name in SHAPES], "beartype.beartype")
 

@@ -9,7 +9,18 @@ from typing import Any
 
 import typer
 
-from doughcli import generate, info, plugins, render, reproduce, scenes, stats, validate, view
+from doughcli import (
+    export,
+    generate,
+    info,
+    plugins,
+    render,
+    reproduce,
+    scenes,
+    stats,
+    validate,
+    view,
+)
 from doughschemas import BadInputError, DoughError
 
 __all__ = ["app", "main"]
@@ -42,7 +53,7 @@ def _interruptible(command: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
-for module in (generate, render, validate, reproduce, info, stats, view, plugins):
+for module in (generate, render, validate, reproduce, info, stats, view, export, plugins):
     app.command(module.NAME, help=module.HELP, epilog=module.EPILOG)(_interruptible(module.command))
 app.add_typer(scenes.app, name="scenes")
 

@@ -80,25 +80,45 @@ def build_executor(name: str, workers: int | None, *, items: int) -> Any:
     return make() if workers is None else make(workers=workers)
 
 
-def wanted_scenes(text: str, *, count: int, seed: int, split: str) -> list[FamilyScenes | Scene]:
-    """Families by name, or the scenes of a JSON file.
+def wanted_scenes(
+    text: str, *, count: int, seed: int, split: str, material: str | None = None
+) -> list[FamilyScenes | Scene]:
+    """Families by name (`mesh:FILE` with a file), or the scenes of a JSON file.
 
     Raises:
-        UnknownNameError: an unknown family or split.
+        UnknownNameError: an unknown family, split or material.
         SceneError: a file that cannot be used.
+        BadInputError: no family, or a material for scenes that have their own.
     """
     if split not in SPLITS:
         raise UnknownNameError("split", split, SPLITS)
     if text.endswith(".json") or Path(text).is_file():
         from doughdata.scenes import read_scenes
 
+        if material is not None:
+            raise BadInputError(f"--material is for scene families; {text} names its own material")
         return list(read_scenes(text))
     families = [part.strip() for part in text.split(",") if part.strip()]
     if not families:
         raise BadInputError("--scenes needs a family or a .json file")
-    for family in families:
-        registry.load("scenes", family)
-    return [
-        FamilyScenes(family=family, count=count, seed=seed, split=split)
+    wanted: list[FamilyScenes | Scene] = [
+        FamilyScenes(family=family, count=count, seed=seed, split=split, material=material)
         for family in dict.fromkeys(families)
     ]
+    for entry in wanted:
+        sample_one(entry, split=split)
+    return wanted
+
+
+def sample_one(entry: FamilyScenes | Scene, *, split: str, number: int = 0) -> Scene:
+    """One scene of what is wanted; a name or a mesh that cannot be used is refused here.
+
+    Raises:
+        UnknownNameError: an unknown family or material.
+        SceneError: a mesh that cannot be used.
+    """
+    if isinstance(entry, Scene):
+        return entry
+    from doughdata.scenes import load_family
+
+    return load_family(entry.source).sample(seed=entry.seed, number=number, split=split)

@@ -31,10 +31,16 @@ def command(
     scenes: Annotated[
         str,
         typer.Option(
-            "--scenes", metavar="NAME[,NAME]|FILE.json", help="Scene families, or your own scenes."
+            "--scenes",
+            metavar="NAME[,NAME]|FILE.json",
+            help="Scene families (mesh:FILE for any closed mesh), or your own scenes.",
         ),
     ],
     num_scenes: Annotated[int, typer.Option(min=1, metavar="N", help="Scenes per family.")] = 8,
+    material: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="play-doh, dough, clay, or sampled (one a scene)."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Root seed.")] = 0,
     dataset: DatasetOption = DATASET_DEFAULT,
     frames: Annotated[int, typer.Option(min=2, max=1000, help="Key frames per scene.")] = 75,
@@ -69,7 +75,7 @@ def command(
     """Run the stages; what is committed already is kept."""
     from doughcli.build import build_executor, build_sensors, build_stages, wanted_scenes
 
-    wanted = wanted_scenes(scenes, count=num_scenes, seed=seed, split=split)
+    wanted = wanted_scenes(scenes, count=num_scenes, seed=seed, split=split, material=material)
     names = tuple(part.strip() for part in stages.split(",") if part.strip())
     chosen = build_stages(names, preset=preset, frames=frames, arch=arch, mesher=mesher)
     sensors = build_sensors((noise,) if noise else ())
@@ -136,13 +142,13 @@ def shard_size(uri: str, total: int) -> int | None:
 
 def scene_ids(wanted: list) -> list[str]:
     """Ids of everything that is asked for."""
-    from doughdata import registry
+    from doughdata.scenes import load_family
     from doughschemas import Scene
 
     ids = [entry.scene_id for entry in wanted if isinstance(entry, Scene)]
     for entry in wanted:
         if not isinstance(entry, Scene):
-            family = registry.load("scenes", entry.family)()
+            family = load_family(entry.source)
             ids += [
                 family.sample(seed=entry.seed, number=k, split=entry.split).scene_id
                 for k in range(entry.count)

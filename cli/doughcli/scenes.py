@@ -34,14 +34,19 @@ def list_families(as_json: JsonOption = False) -> None:
 
 @app.command("show", epilog="Example: doughdata scenes show rolls --seed 3 > mine.json")
 def show(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Scene family.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Scene family, or mesh:FILE.")],
     seed: Annotated[int, typer.Option(min=0, help="Root seed.")] = 0,
     number: Annotated[int, typer.Option(min=0, help="Scene number within its split.")] = 0,
     split: Annotated[str, typer.Option(help="train or test.")] = "train",
+    material: Annotated[
+        str | None, typer.Option(metavar="NAME", help="play-doh, dough, clay, or sampled.")
+    ] = None,
 ) -> None:
     """Print one scene as JSON; edit it and run it with `generate --scenes FILE.json`."""
-    from doughdata import registry
+    from doughcli.build import sample_one
+    from doughdata.requests import FamilyScenes
     from doughdata.scenes import scene_to_json
 
-    scene = registry.load("scenes", name)().sample(seed=seed, number=number, split=split)
+    wanted = FamilyScenes(family=name, count=number + 1, seed=seed, split=split, material=material)
+    scene = sample_one(wanted, split=split, number=number)
     print(json.dumps(scene_to_json(scene), indent=2))

@@ -1,41 +1,85 @@
-"""Tool meshes travel with the dataset, so that a scene can be simulated anywhere."""
+"""Meshes travel with the dataset, so that a scene can be made and simulated anywhere."""
 
 from dataclasses import replace
 from hashlib import sha256
 from typing import Any
 
 from doughdata.dataset.store import Store
-from doughdata.scenes import finger_mesh
-from doughschemas import Scene, Tool
+from doughdata.scenes import FamilyName, body_mesh, finger_mesh
+from doughschemas import Body, Scene, Tool
 
-__all__ = ["resolve_tools", "store_tools"]
+__all__ = ["resolve_family", "resolve_path", "store_family", "store_meshes"]
 
-ASSETS = "assets/tools/"
-
-
-def store_tools(store: Store, scene: Scene) -> Scene:
-    """Copy tool meshes to `assets/tools/<sha256>.glb` [m, finger frame]; the scene names these."""
-    return replace(scene, tools=tuple(_stored(store, tool) for tool in scene.tools))
+TOOLS, BODIES = "assets/tools/", "assets/bodies/"
 
 
-def resolve_tools(store: Store, scene: Scene) -> Scene:
-    """The scene with paths that exist on this machine."""
-    tools = tuple(
-        replace(tool, mesh=str(store.local(tool.mesh)))
-        if tool.mesh is not None and tool.mesh.startswith(ASSETS)
-        else tool
-        for tool in scene.tools
+def store_meshes(store: Store, scene: Scene) -> Scene:
+    """Copy meshes of tools and bodies to `assets/`; the scene names these copies."""
+    return replace(
+        scene,
+        tools=tuple(_stored_tool(store, tool) for tool in scene.tools),
+        bodies=tuple(_stored_body(store, body) for body in scene.bodies),
     )
-    return replace(scene, tools=tools)
 
 
-def _stored(store: Store, tool: Tool) -> Tool:
-    if tool.mesh is None or tool.mesh.startswith(ASSETS):
+def resolve_path(store: Store, path: str) -> str:
+    """Where a mesh that a scene names lies on this machine."""
+    return str(store.local(path)) if path.startswith((TOOLS, BODIES)) else path
+
+
+def store_family(store: Store, source: str) -> str:
+    """The text of a family (`FamilyName`) whose mesh, if it has one, lies in the dataset."""
+    name = FamilyName.parse(source)
+    if name.name != "mesh" or name.argument is None:
+        return source
+    return str(replace(name, argument=_stored_file(store, name.argument)))
+
+
+def resolve_family(store: Store, source: str) -> str:
+    """The text of a family with a path that exists on this machine."""
+    name = FamilyName.parse(source)
+    if name.argument is None:
+        return source
+    return str(replace(name, argument=resolve_path(store, name.argument)))
+
+
+def _stored_tool(store: Store, tool: Tool) -> Tool:
+    if tool.mesh is None:
         return tool
-    own = str(store.local(ASSETS))
-    if tool.mesh.startswith(own):  # a scene of this dataset that was resolved before
-        return replace(tool, mesh=ASSETS + tool.mesh[len(own) :].lstrip("/"))
+    own = _own(store, tool.mesh, TOOLS)
+    if own is not None:
+        return replace(tool, mesh=own)
     data: Any = finger_mesh(tool).export(file_type="glb")
-    path = f"{ASSETS}{sha256(data).hexdigest()}.glb"
+    return replace(tool, mesh=_create(store, TOOLS, data), scale=1.0)
+
+
+def _stored_body(store: Store, body: Body) -> Body:
+    if body.shape != "mesh":
+        return body
+    return replace(body, parameters={**body.parameters, "file": _stored_file(store, _file(body))})
+
+
+def _stored_file(store: Store, file: str) -> str:
+    own = _own(store, file, BODIES)
+    if own is not None:
+        return own
+    data: Any = body_mesh(file).export(file_type="glb")
+    return _create(store, BODIES, data)
+
+
+def _own(store: Store, path: str, folder: str) -> str | None:
+    """The path relative to the dataset, if the file is the dataset's own."""
+    if path.startswith(folder):
+        return path
+    own = str(store.local(folder))  # a scene of this dataset that was resolved before
+    return folder + path[len(own) :].lstrip("/") if path.startswith(own) else None
+
+
+def _create(store: Store, folder: str, data: bytes) -> str:
+    path = f"{folder}{sha256(data).hexdigest()}.glb"
     store.create(path, data)
-    return replace(tool, mesh=path, scale=1.0)
+    return path
+
+
+def _file(body: Body) -> str:
+    return str(body.parameters.get("file", ""))

@@ -1,16 +1,16 @@
 """Which scene_index means which scene, and in which shard it lies: an append-only log."""
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from hashlib import sha256
 from typing import Any
 
-from doughdata import registry
-from doughdata.dataset.assets import resolve_tools, store_tools
+from doughdata.dataset.assets import resolve_family, resolve_path, store_family, store_meshes
 from doughdata.dataset.documents import dump_document, load_document
 from doughdata.dataset.store import Store
-from doughdata.scenes import scene_from_json, scene_to_json
+from doughdata.scenes import FamilyName, load_family, scene_from_json, scene_to_json
 from doughschemas import (
     SCHEMA_VERSION,
     BadInputError,
@@ -98,6 +98,7 @@ def plan_family(
     """Make sure that scenes 0..count-1 of a family are planned; returns all its planned shards."""
     if count < 0:
         raise BadInputError(f"the number of scenes must be 0 or more, got {count}")
+    family = store_family(store, family)
     while True:
         plans = read_plans(store)
         mine = [p for p in plans if (p.family, p.split, p.seed) == (family, split, seed)]
@@ -125,13 +126,15 @@ def plan_scenes(store: Store, scenes: Sequence[Scene], *, scenes_per_shard: int)
     Raises:
         DatasetError: another scene of the same scene_id is in the dataset already.
     """
-    texts = {s.scene_id: json.dumps(scene_to_json(store_tools(store, s)), indent=1) for s in scenes}
+    texts = {
+        s.scene_id: json.dumps(scene_to_json(store_meshes(store, s)), indent=1) for s in scenes
+    }
     hashes = {scene_id: sha256(text.encode()).hexdigest() for scene_id, text in texts.items()}
     while True:
         plans = read_plans(store)
         known = {k: v for plan in plans for k, v in (plan.scenes or {}).items()}
         clash = [i for i in hashes if i in known and known[i] != hashes[i]]
-        clash += sorted(set(hashes) & _sampled_ids(plans, scenes))
+        clash += sorted(set(hashes) & _sampled_ids(store, plans, scenes))
         if clash:
             raise DatasetError(
                 f"{store.uri}: another scene {clash[0]!r} is in this dataset already; "
@@ -176,20 +179,11 @@ def shards_of(plan: PlanRecord) -> list[Shard]:
 def scenes_of(store: Store, plan: PlanRecord, indices: Iterable[int]) -> dict[int, Scene]:
     """The scenes themselves, scene_index -> Scene: sampled from the family, or read back."""
     if plan.family is not None:
-        family = registry.load("scenes", plan.family)()
-        return {
-            i: family.sample(
-                seed=plan.seed,
-                number=plan.first_number + i - plan.first_scene_index,
-                split=plan.split,
-            )
-            for i in indices
-        }
+        first, indices = plan.first_number - plan.first_scene_index, list(indices)
+        return dict(zip(indices, _sampled(store, plan, (first + i for i in indices)), strict=True))
     entries: list[Any] = json.loads(store.read(plan.scenes_path or ""))
-    return {
-        i: resolve_tools(store, scene_from_json(entries[i - plan.first_scene_index]))
-        for i in indices
-    }
+    locate = partial(resolve_path, store)
+    return {i: scene_from_json(entries[i - plan.first_scene_index], locate=locate) for i in indices}
 
 
 def _next(plans: Sequence[PlanRecord]) -> tuple[int, int]:
@@ -202,13 +196,24 @@ def _append(store: Store, plan: PlanRecord) -> bool:
     )
 
 
-def _sampled_ids(plans: Sequence[PlanRecord], scenes: Sequence[Scene]) -> set[str]:
+def _sampled_ids(store: Store, plans: Sequence[PlanRecord], scenes: Sequence[Scene]) -> set[str]:
     """Ids that families gave, where a user's scene could have the same one."""
     wanted = {(scene.family, scene.split, scene.seed) for scene in scenes}
     ids = set()
     for plan in plans:
-        if plan.family is not None and (plan.family, plan.split, plan.seed) in wanted:
-            family = registry.load("scenes", plan.family)()
-            for k in range(plan.first_number, plan.first_number + plan.count):
-                ids.add(family.sample(seed=plan.seed, number=k, split=plan.split).scene_id)
+        if plan.family is None:
+            continue
+        if (FamilyName.parse(plan.family).name, plan.split, plan.seed) in wanted:
+            numbers = range(plan.first_number, plan.first_number + plan.count)
+            ids.update(scene.scene_id for scene in _sampled(store, plan, numbers))
     return ids
+
+
+def _sampled(store: Store, plan: PlanRecord, numbers: Iterable[int]) -> Iterator[Scene]:
+    """Scenes of a plan that came from a family, by their number in it."""
+    assert plan.family is not None
+    assert plan.seed is not None
+    assert plan.split is not None
+    family = load_family(resolve_family(store, plan.family))
+    for number in numbers:
+        yield family.sample(seed=plan.seed, number=number, split=plan.split)

@@ -10,12 +10,13 @@ import os
 from bisect import bisect_right
 from collections import OrderedDict
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
-from doughdata.dataset.assets import resolve_tools
+from doughdata.dataset.assets import resolve_path
 from doughdata.dataset.commits import CommitLog, CommitRecord
 from doughdata.dataset.frame import Frame
 from doughdata.dataset.info import read_info
@@ -146,13 +147,13 @@ class Dataset:
         return here.tables[name]
 
     def scene(self, scene_index: int) -> Scene:
-        """What a scene was made from; tool meshes have paths on this machine."""
+        """What a scene was made from; meshes have paths on this machine."""
         scenes = self._here.scenes
         if scene_index not in scenes:
             table = self.layer("sim", scene_index).table("scenes").scene(scene_index)
             data = json.loads(table["parameters"][0].as_py())
-            scene = scene_from_json(data, name=data["scene_id"])
-            scenes[scene_index] = resolve_tools(self._store, scene)
+            locate = partial(resolve_path, self._store)
+            scenes[scene_index] = scene_from_json(data, name=data["scene_id"], locate=locate)
         return scenes[scene_index]
 
     def frame(self, *, scene: int, frame: int) -> Frame:

@@ -11,7 +11,7 @@ from typing import Any
 from uuid import uuid4
 
 from doughdata.dataset.arrays import write_arrays
-from doughdata.dataset.assets import store_tools
+from doughdata.dataset.assets import store_meshes
 from doughdata.dataset.commits import (
     CommitLog,
     CommitRecord,
@@ -210,7 +210,7 @@ class DatasetWriter:
         if kind == "sim":
             rows = ShardRows(scenes=tuple(sorted(records)), num_frames=self.num_frames)
             scenes = self.scenes(task) if scenes is None else scenes
-            stored = {index: store_tools(self.store, scenes[index]) for index in records}
+            stored = {index: store_meshes(self.store, scenes[index]) for index in records}
             return encode_sim(records, stored, rows)
         sim = CommitLog(self.store).newest("sim", task.shard)
         if sim is None:

@@ -7,6 +7,8 @@ spans with neighbouring cell vertices (Ju and Udeshi 2006). Envelopes of differe
 overlap, so the mesh cannot cut itself. Where neither diagonal fits, a fan around the crossing does.
 """
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,7 +54,7 @@ def contour(solid: Solid, *, regularisation: float) -> Contour:
     Args:
         solid: well-composed, no cell with nodes of two labels (see build_solid).
         regularisation: weight of the crossings' mean against their tangent planes; 0.05 keeps
-            edges sharp, large values give surface nets.
+            edges sharp; infinity puts vertices at the mean, which is naive surface nets.
     """
     codes = cell_codes(solid.field < 0.0)
     flat = np.flatnonzero((codes != 0) & (codes != 255))
@@ -116,7 +118,7 @@ def _gradient(
 def _place_vertices(
     crossings: _Crossings, cells: Int[np.ndarray, "cells 3"], regularisation: float
 ) -> tuple[Float64[np.ndarray, "cells 3"], Float64[np.ndarray, "cells 3"]]:
-    """Vertex of every cell by the quadratic error function, and its mean normal."""
+    """Vertex of every cell, strictly inside it, and its mean normal."""
     count = len(cells)
     owner = crossings.cells.reshape(-1)
     which = np.repeat(np.arange(len(crossings.axis)), 4)
@@ -128,18 +130,30 @@ def _place_vertices(
         return np.bincount(owner, values[which], count) + 0.0  # floats even when empty
 
     mean = np.stack([total(p) for p in point.T], axis=1) / number[:, None]
-    n = crossings.normal
+    normal = np.stack([total(n) for n in crossings.normal.T], axis=1)
+    length = np.sqrt((normal**2).sum(axis=1, keepdims=True))
+    vertices = mean
+    if math.isfinite(regularisation):
+        vertices = mean + _sharpened(crossings.normal, point, mean, total, regularisation)
+    return _clamp(vertices, cells), normal / np.maximum(length, 1e-9)
+
+
+def _sharpened(
+    n: Float64[np.ndarray, "edges 3"],
+    point: Float64[np.ndarray, "edges 3"],
+    mean: Float64[np.ndarray, "cells 3"],
+    total: Callable[[Float64[np.ndarray, " edges"]], Float64[np.ndarray, " cells"]],
+    regularisation: float,
+) -> Float64[np.ndarray, "cells 3"]:
+    """Step from the mean to the least of the quadratic error function; `total` sums per cell."""
     offset = (n * point).sum(axis=1)
     A = {(i, j): total(n[:, i] * n[:, j]) for i in range(3) for j in range(i, 3)}
     b = np.stack([total(n[:, i] * offset) for i in range(3)], axis=1)
-    normal = np.stack([total(n[:, i]) for i in range(3)], axis=1)
     for i in range(3):
         for j in range(3):
             b[:, i] -= A[min(i, j), max(i, j)] * mean[:, j]
         A[i, i] += regularisation
-    vertices = _clamp(mean + _solve(A, b), cells)
-    length = np.sqrt((normal**2).sum(axis=1, keepdims=True))
-    return vertices, normal / np.maximum(length, 1e-9)
+    return _solve(A, b)
 
 
 def _solve(

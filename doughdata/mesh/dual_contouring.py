@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float32
 
+from doughdata.mesh.assemble import component_meshes
 from doughdata.mesh.component import SolidConfig
 from doughdata.mesh.contour import contour
-from doughdata.mesh.labels import label_grid
 from doughdata.mesh.solid import build_solid
-from doughschemas import ComponentMesh, ComponentMeshes, FrameTopology
+from doughschemas import ComponentMeshes, FrameTopology
 
 __all__ = ["DualContouring", "DualContouringConfig"]
 
@@ -21,6 +21,7 @@ class DualContouringConfig:
     solid: SolidConfig = field(default_factory=SolidConfig)
     regularisation: float = 0.05  # pull of a vertex to the mean of its crossings
     label_spacing: float = 0.001  # [m], of the label grid
+    simplify: float | None = None  # [m], how far fewer faces may move the surface; None = keep all
 
 
 class DualContouring:
@@ -44,16 +45,14 @@ class DualContouring:
             spacing: of the particles at rest [m].
 
         Raises:
-            BadInputError: positions of a component are not finite.
+            BadInputError: positions of a component are not finite, or `simplify` is not positive.
         """
         solid = build_solid(positions, topology, spacing=spacing, config=self.config.solid)
         surface = contour(solid, regularisation=self.config.regularisation)
-        vertices = ((surface.vertices + solid.origin) * solid.cell).astype(np.float32)
-        meshes = []
-        for label in range(topology.num_components):
-            v0, v1 = np.searchsorted(surface.vertex_labels, [label, label + 1])
-            f0, f1 = np.searchsorted(surface.face_labels, [label, label + 1])
-            faces = (surface.faces[f0:f1] - v0).astype(np.uint32)
-            meshes.append(ComponentMesh(vertices=vertices[v0:v1], faces=faces))
-        grid = label_grid(solid, spacing=self.config.label_spacing, shift=surface.shift)
-        return ComponentMeshes(meshes=tuple(meshes), label_grid=grid)
+        return component_meshes(
+            surface,
+            solid,
+            components=topology.num_components,
+            label_spacing=self.config.label_spacing,
+            max_error=self.config.simplify,
+        )

@@ -8,6 +8,7 @@ from jaxtyping import Float32, Float64, Int
 from doughdata.mesh.checks import mesh_area, mesh_volume
 from doughdata.mesh.component import SolidConfig
 from doughdata.mesh.labels import label_grid
+from doughdata.mesh.simplify import simplify
 from doughdata.mesh.solid import Solid, build_solid, shifted_field
 from doughdata.registry import require_package
 from doughschemas import NO_COMPONENT, ComponentMesh, ComponentMeshes, FrameTopology
@@ -23,6 +24,7 @@ class MarchingCubesConfig:
 
     solid: SolidConfig = field(default_factory=SolidConfig)
     label_spacing: float = 0.001  # [m], of the label grid
+    simplify: float | None = None  # [m], how far fewer faces may move the surface; None = keep all
     volume_rounds: int = 3  # contours until the volume is right; the last one counts
 
 
@@ -47,7 +49,7 @@ class MarchingCubes:
             spacing: of the particles at rest [m].
 
         Raises:
-            BadInputError: positions of a component are not finite.
+            BadInputError: positions of a component are not finite, or `simplify` is not positive.
         """
         solid = build_solid(positions, topology, spacing=spacing, config=self.config.solid)
         shift = np.zeros(topology.num_components)
@@ -58,15 +60,17 @@ class MarchingCubes:
                 shift[label] += missing / max(mesh_area(vertices, faces), 1e-9)
             shift = np.clip(shift, -SHIFT_MAX, SHIFT_MAX)
             pieces = _contour(solid, shift)
-        meshes = tuple(
+        meshes = [
             ComponentMesh(
                 vertices=((vertices + solid.origin) * solid.cell).astype(np.float32),
                 faces=faces.astype(np.uint32),
             )
             for vertices, faces in pieces
-        )
+        ]
+        if self.config.simplify is not None:
+            meshes = simplify(meshes, max_error=self.config.simplify)
         grid = label_grid(solid, spacing=self.config.label_spacing, shift=shift)
-        return ComponentMeshes(meshes=meshes, label_grid=grid)
+        return ComponentMeshes(meshes=tuple(meshes), label_grid=grid)
 
 
 def _contour(

@@ -3,7 +3,7 @@
 import numpy as np
 
 from doughdata.scenes.sampling import between, sample_action, sample_scene
-from doughschemas import Action, Body, Scene
+from doughschemas import Action, Body, Scene, Tool
 
 __all__ = ["Doughnut"]
 
@@ -28,6 +28,6 @@ def _bodies(scale: float, rng: np.random.Generator) -> tuple[Body, ...]:
     return (Body(shape="ring", parameters=parameters),)
 
 
-def _action(bodies: tuple[Body, ...], rng: np.random.Generator) -> Action:
+def _action(bodies: tuple[Body, ...], tool: Tool, rng: np.random.Generator) -> Action:
     radius = float(bodies[0].parameters["ring_radius"])
-    return sample_action(rng, reach=(radius, radius), yaw=np.pi / 2, opening=0.016)
+    return sample_action(tool, rng, reach=(radius, radius), yaw=np.pi / 2, opening=0.016)

@@ -12,6 +12,7 @@ from doughschemas import Action, Body, Scene, SceneError
 __all__ = ["WORKSPACE", "check_scene", "surface_points"]
 
 WORKSPACE = 0.100  # [m], half the side of the square that bodies and gaps stay in
+MOST_YAW = 100.0  # [rad]; any turn, but no NaN and nothing that sine and cosine lose
 SAMPLE = 0.002  # [m], grid on which clearances are checked
 
 
@@ -44,9 +45,14 @@ def _check(scene: Scene) -> None:
     require_range("table_friction", scene.table_friction, 0.0, 10.0, unit="")
     for tool in scene.tools:
         require_range("tool friction", tool.friction, 0.0, 10.0, unit="")
+        require_range("tool scale", tool.scale, 1e-9, 1e3, unit="m per mesh unit")
         if tool.mesh is None:
             for what in ("depth", "width", "height"):
                 require_range(f"tool {what}", getattr(tool, what), 0.001, 0.200)
+    for number, body in enumerate(scene.bodies):
+        require_range(f"body {number}: yaw", body.yaw, -MOST_YAW, MOST_YAW, unit="rad")
+        for axis in (0, 1):  # loosely: how far its dough reaches is checked below
+            require_range(f"body {number}: position", body.position[axis], -1.0, 1.0)
     clouds = [surface_points(body) for body in scene.bodies]
     for body, cloud in zip(scene.bodies, clouds, strict=True):
         reach = float(np.abs(cloud[:, :2]).max())
@@ -71,6 +77,7 @@ def _check_action(
     require_range(f"action {number}: hold", action.hold, 0.0, 60.0, unit="s")
     require_range(f"action {number}: opening_start", action.opening_start, 0.002, 0.180)
     require_range(f"action {number}: opening_end", action.opening_end, 0.0005, action.opening_start)
+    require_range(f"action {number}: yaw", action.yaw, -MOST_YAW, MOST_YAW, unit="rad")
     for axis in (0, 1):
         require_range(f"action {number}: position", action.position[axis], -WORKSPACE, WORKSPACE)
     tool = scene.tools[action.tool]

@@ -3,13 +3,18 @@
 import numpy as np
 
 from doughdata.scenes.sampling import between, sample_action, sample_scene
-from doughschemas import Action, Body, Scene
+from doughschemas import Action, Body, Scene, Tool
 
 __all__ = ["Rolls"]
 
+# Gaps [m]. Rolls that are near merge before they are cut: halves stay together in pairs. Only far
+# ones, on a table that holds them, are cut before they meet: 3 pieces, or 4.
+NEAR, FAR = (0.001, 0.006), (0.024, 0.036)
+SHARE_FAR = 0.6
+
 
 class Rolls:
-    """Two equal rolls along y, 1-6 mm apart, squeezed across."""
+    """Two equal rolls along y, 1-36 mm apart and shifted along each other, squeezed across."""
 
     def sample(self, *, seed: int, number: int, split: str) -> Scene:
         """Scene `number` of a split."""
@@ -20,15 +25,18 @@ class Rolls:
 
 def _bodies(scale: float, rng: np.random.Generator) -> tuple[Body, ...]:
     radius = between(0.008, 0.014, scale)
-    parameters = {
-        "radius": radius,
-        "length": between(0.040, 0.080, rng.random()),
-        "exponent": between(2.0, 8.0, rng.random()),
-    }
-    x = radius + between(0.001, 0.006, rng.random()) / 2
-    return tuple(Body(shape="roll", parameters=parameters, position=(s * x, 0.0)) for s in (-1, 1))
+    length = between(0.040, 0.080, rng.random())
+    parameters = {"radius": radius, "length": length, "exponent": between(2.0, 8.0, rng.random())}
+    gap = FAR if rng.random() < SHARE_FAR else NEAR
+    x = radius + between(*gap, rng.random()) / 2
+    y = between(-0.2, 0.2, rng.random()) * length
+    return tuple(
+        Body(shape="roll", parameters=parameters, position=(s * x, round(s * y, 6)))
+        for s in (-1, 1)
+    )
 
 
-def _action(bodies: tuple[Body, ...], rng: np.random.Generator) -> Action:
+def _action(bodies: tuple[Body, ...], tool: Tool, rng: np.random.Generator) -> Action:
     length = float(bodies[0].parameters["length"])
-    return sample_action(rng, reach=(0.010, 0.35 * length), yaw=np.radians(25), opening=0.020)
+    reach = abs(bodies[0].position[1]) + 0.42 * length
+    return sample_action(tool, rng, reach=(0.006, reach), yaw=np.radians(25), opening=0.020)

@@ -15,29 +15,50 @@ __all__ = ["between", "sample_action", "sample_scene", "sample_tool"]
 
 # Finger width [m] at tool scale 0 and 1: from a 3 mm blade to a 100 mm vise.
 TOOL_WIDTHS = {"narrow": (0.003, 0.0045), "regular": (0.007, 0.014), "wide": (0.060, 0.100)}
+CUTTER_DEPTH = 0.050  # [m]; two rolls of the largest size lie within 46 mm of their middle
+# Half of the scenes lie on a floured table on which dough slides, half on a bare one that holds it
+# (the authors' value). On the first, fingers push pieces together; on the second they cut them.
+TABLE_FRICTIONS = (0.5, 8.0)
+VISE = 0.030  # [m]; fingers wider than this cannot cut
 ATTEMPTS = 200
 
 
 def between(low: float, high: float, u: float) -> float:
     """Linear map of u in [0, 1] to [low, high], rounded to a micrometre."""
-    return round(low + (high - low) * u, 6)
+    return round(float(low + (high - low) * u), 6)
 
 
 def sample_tool(scale: float, rng: np.random.Generator) -> Tool:
-    """One of the presets with equal chance, its width set by the tool scale."""
+    """One of the presets with equal chance, its width set by the tool scale.
+
+    Blades and fingers are deeper than the presets, so that they pass right through the dough: what
+    is left standing behind a finger joins the halves of a cut.
+    """
     preset = PRESETS[str(rng.choice(list(PRESETS)))]
-    return replace(preset, width=between(*TOOL_WIDTHS[preset.name], scale))
+    tool = replace(preset, width=between(*TOOL_WIDTHS[preset.name], scale))
+    return tool if tool.width > VISE else replace(tool, depth=CUTTER_DEPTH)
 
 
 def sample_action(
-    rng: np.random.Generator, *, reach: tuple[float, float], yaw: float, opening: float
+    tool: Tool,
+    rng: np.random.Generator,
+    *,
+    reach: tuple[float, float],
+    yaw: float,
+    opening: float,
 ) -> Action:
     """A squeeze from 100 mm at an in-plane pose within `reach` [m] and `yaw` [rad].
 
-    Half of the final openings lie within 1-3 mm (cuts), half between 3 mm and `opening` [m].
+    Half of the final openings of blades and fingers lie within 0.5-1 mm (cuts), half between 2 mm
+    and `opening` [m]: dough that is squeezed to 1.5 mm and more mostly holds together. A vise
+    leaves at least 5 mm: no gripper crushes all the dough to a film.
     """
-    deep = rng.random() < 0.5
-    end = rng.uniform(0.001, 0.003) if deep else rng.uniform(0.003, opening)
+    if tool.width > VISE:
+        end = rng.uniform(0.005, opening)
+    elif rng.random() < 0.5:
+        end = rng.uniform(0.0005, 0.001)
+    else:
+        end = rng.uniform(0.002, opening)
     return Action(
         position=(
             between(-reach[0], reach[0], rng.random()),
@@ -55,23 +76,29 @@ def sample_scene(
     number: int,
     split: str,
     bodies: Callable[[float, np.random.Generator], tuple[Body, ...]],
-    action: Callable[[tuple[Body, ...], np.random.Generator], Action],
+    action: Callable[[tuple[Body, ...], Tool, np.random.Generator], Action],
+    label: str | None = None,
 ) -> Scene:
-    """Draw region, scales, bodies, tool and action; poses that start inside a body are redrawn."""
+    """Draw region, scales, bodies, tool, table, action; poses that start inside a body are redrawn.
+
+    The scene_id is `<label>-<split>-s<seed>-<number>`; the label is the family's name by default.
+    """
     rng = np.random.default_rng(seed_sequence(seed, family, split, number, "scene"))
     region = sample_region(split, rng)
     made = bodies(sample_scale(region, rng), rng)
     tool = sample_tool(sample_scale(region, rng), rng)
+    table_friction = float(rng.choice(TABLE_FRICTIONS))
     for _ in range(ATTEMPTS):
         scene = Scene(
-            scene_id=f"{family}-{split}-s{seed}-{number:06d}",
+            scene_id=f"{label or family}-{split}-s{seed}-{number:06d}",
             family=family,
             seed=seed,
             split=split,
             region=region,
             bodies=made,
             tools=(tool,),
-            actions=(action(made, rng),),
+            actions=(action(made, tool, rng),),
+            table_friction=table_friction,
         )
         try:
             return check_scene(scene)

@@ -13,6 +13,7 @@ __all__ = [
     "Vec4",
     "coulomb",
     "find_fingers",
+    "find_touch",
     "finger_local",
     "finger_side",
     "finger_world",
@@ -47,6 +48,7 @@ class Contact:
     rate: ti.f32  # [m/s], of the opening; negative while it closes
     friction: ti.f32
     table_friction: ti.f32
+    reach: ti.f32  # [m], a particle this near a wall touches it
     band: ti.f32  # [m], over which a finger's influence on nodes fades
     sdf_origin: Vec3  # [m], finger frame
     sdf_spacing: ti.f32  # [m]
@@ -178,3 +180,42 @@ def find_fingers(
             if index > 0 and index < size - 1:
                 value = 0.75 * free[at] + 0.125 * (free[at - stride] + free[at + stride])
             free[at - source + target] = value
+
+
+@ti.func
+def find_touch(
+    low,
+    high,
+    opening,
+    x: ti.template(),
+    sdf: ti.template(),
+    touch: ti.template(),
+    grid: ti.template(),
+    contact: ti.template(),
+):
+    """Which walls the dough around each node touches: 1 and 2 the fingers, 4 the table, added up.
+
+    A node moves dough that is up to 1.5 cells away. Stopped by a wall regardless, it would hold
+    dough in the air: dropped from one cell, a block came to rest 0.85 cells above the table.
+    """
+    ny, nz = grid.shape[1], grid.shape[2]
+    for i in range(low[0], high[0]):
+        for j in range(low[1], high[1]):
+            for at in range((i * ny + j) * nz + low[2], (i * ny + j) * nz + high[2]):
+                touch[at] = 0
+    for i in range(x.shape[0]):
+        place = Vec3(x[i][0], x[i][1], x[i][2])
+        walls = ti.select(grid.table >= 0 and place[2] <= contact.reach, 4, 0)
+        for finger in range(contact.fingers):
+            local = finger_local(place, finger, opening, contact)
+            if sdf_holds(local, 0.0, contact):
+                distance, _ = sdf_sample(local, sdf, contact)
+                if distance <= contact.reach:
+                    walls = walls | (1 << finger)
+        if walls > 0:
+            base = ti.cast((place - grid.origin) * grid.inverse - 0.5, ti.i32)
+            for p in range(3):
+                for q in range(3):
+                    row = ((base[0] + p) * ny + base[1] + q) * nz + base[2]
+                    for at in range(row, row + 3):
+                        touch[at] = touch[at] | walls

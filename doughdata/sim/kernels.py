@@ -1,11 +1,13 @@
-"""MLS-MPM substeps as Taichi functions, and the kernel that runs many of them on one CPU thread.
-
-Quadratic B-splines and APIC (Jiang et al. 2015), MLS stress (Hu et al. 2018). Kernel functions are
-longer than elsewhere because a function call is free only when Taichi inlines it.
+"""Kernels that run substeps of MLS-MPM: many on one thread, or one on several threads.
 
 Everything a kernel needs comes in as arguments, so kernels are compiled once per process whatever
-the scene. Grid arrays are flat: node (i, j, k) is number (i ny + j) nz + k and lies at origin +
-dx (i, j, k). No atomics: the order of every sum is fixed.
+the scene. See `transfers` for the layout of particles and nodes.
+
+Particles are sorted by cell and cut into SLICES slices of one length. Each slice scatters into a
+grid of its own, within its own box, and the grids are summed slice after slice. There are no
+atomics, so the order of every sum is fixed, whatever the number of threads. `boxes` holds (first,
+one past the last) node of each slice, of all particles, and of what fingers take volume from.
+`status` holds (reason, detail) of each slice; once there is a reason, particles stay.
 """
 
 # Taichi annotations are values, not types.
@@ -19,15 +21,53 @@ from doughdata.sim.contact import (
     Vec4,
     coulomb,
     find_fingers,
+    find_touch,
     finger_local,
-    finger_side,
     finger_world,
-    sdf_holds,
     sdf_sample,
 )
 from doughdata.sim.stress import Mat3, Sym, Vec3, hencky_return
+from doughdata.sim.transfers import (
+    CFL_BROKEN,
+    LEAST_FREE,
+    LEAST_VOLUME,
+    LEFT_DOMAIN,
+    LONGEST_MOVE,
+    LONGEST_PUSH,
+    Dough,
+    grid_to_particle,
+    move_node,
+    particle_to_grid,
+    position_of,
+    weights,
+)
 
-__all__ = ["CFL_BROKEN", "LEFT_DOMAIN", "Dough", "advance"]
+__all__ = [
+    "ALL",
+    "CFL_BROKEN",
+    "EVERY",
+    "LEAST_FREE",
+    "LEAST_VOLUME",
+    "LEFT_DOMAIN",
+    "LONGEST_MOVE",
+    "LONGEST_PUSH",
+    "MARGIN",
+    "NEAR",
+    "SLICES",
+    "Contact",
+    "Dough",
+    "Grid",
+    "advance",
+    "coulomb",
+    "find_fingers",
+    "finger_local",
+    "finger_world",
+    "hencky_return",
+    "look",
+    "sdf_sample",
+    "substep",
+    "weights",
+]
 
 Scalars = ti.types.ndarray(dtype=ti.f32, ndim=1)
 Integers = ti.types.ndarray(dtype=ti.i32, ndim=1)
@@ -36,58 +76,69 @@ Matrices = ti.types.ndarray(dtype=Mat3, ndim=1)
 Symmetrics = ti.types.ndarray(dtype=Sym, ndim=1)
 Nodes = ti.types.ndarray(dtype=Vec4, ndim=1)
 
-LEFT_DOMAIN = 1
-CFL_BROKEN = 2
-EVERY = 5  # substeps between looks at the particles' bounding box and at the fingers
-MARGIN = 2  # [cells], of that box: five substeps move a particle by less than 1.75 cells
-LONGEST_MOVE = 0.25  # [cells] per substep; more is a broken time-step limit
-LONGEST_PUSH = 0.1  # [cells] per substep, out of a finger
-LEAST_FREE = 0.02  # tool-free volume fraction is kept above, against division by zero
-LEAST_VOLUME = 0.3  # J is never limited below
-
-
-@ti.dataclass
-class Dough:
-    """Material and particles."""
-
-    shear: ti.f32  # [Pa]
-    bulk: ti.f32  # [Pa]
-    yield_strain: ti.f32  # largest norm of the logarithmic deviator
-    volume: ti.f32  # [m3] per particle
-    mass: ti.f32  # [kg] per particle
-    gravity: ti.f32  # [m/s2]
-    density_cap: ti.f32  # J is limited to this times the particle's reference over its real density
-    driven: ti.i32  # whether any particle is a handle
-    pull: Vec3  # [m/s], of handle 2; handle 1 moves against it
+SLICES = 4
+ALL = 6 * SLICES  # where the box of all particles begins in `boxes`
+NEAR = ALL + 6  # and that of the nodes whose volume a finger takes
+EVERY = 5  # substeps between looks at the particles' boxes and at the fingers
+MARGIN = 2  # [cells], of the boxes: five substeps move a particle by less than 1.75 cells
+MOST = (1 << 26) - 1  # changes no index, but proves that 16 i is a 32-bit number: see `transfers`
+PAD = 512  # Taichi keeps fewer than 512 iterations of a loop on one thread
 
 
 @ti.func
-def weights(point, grid: ti.template()):
-    """First of the three nodes an axis, position relative to it [cells], B-spline weights."""
-    u = (point - grid.origin) * grid.inverse
-    base = ti.cast(u - 0.5, ti.i32)
-    f = u - ti.cast(base, ti.f32)
-    w0 = 0.5 * (1.5 - f) * (1.5 - f)
-    w1 = 0.75 - (f - 1.0) * (f - 1.0)
-    w2 = 0.5 * (f - 0.5) * (f - 0.5)
-    return base, f, w0, w1, w2
+def running(status: ti.template()):
+    """Whether no slice has a reason to stop."""
+    good = 1
+    for s in range(SLICES):
+        if status[2 * s] != 0:
+            good = 0
+    return good
 
 
 @ti.func
-def region_of(x: ti.template(), grid: ti.template(), status: ti.template()):
+def region_of(begin, end, x: ti.template(), grid: ti.template()):
     """Nodes that particles can reach within the next substeps: first and one past the last."""
     low, high = Int3(1 << 30), Int3(-(1 << 30))
-    for i in range(x.shape[0]):
-        base = ti.cast(ti.floor((x[i] - grid.origin) * grid.inverse - 0.5), ti.i32)
+    for i in range(begin, end):
+        base = ti.cast(ti.floor((position_of(x[i]) - grid.origin) * grid.inverse - 0.5), ti.i32)
         low = ti.min(low, base)
         high = ti.max(high, base)
-    low = low - MARGIN
-    high = high + (3 + MARGIN)
+    return low - MARGIN, high + (3 + MARGIN)
+
+
+@ti.func
+def find_regions(
+    x: ti.template(), boxes: ti.template(), status: ti.template(), grid: ti.template()
+):
+    """Boxes of the slices and of all particles; a status where one leaves the grid."""
+    first, last = grid.shape, Int3(0)
+    for s in range(SLICES):
+        low, high = region_of((s * x.shape[0]) // SLICES, ((s + 1) * x.shape[0]) // SLICES, x, grid)
+        for d in ti.static(range(3)):
+            boxes[6 * s + d] = low[d]
+            boxes[6 * s + 3 + d] = high[d]
+            if low[d] < high[d] and (low[d] < 0 or high[d] > grid.shape[d]):
+                status[2 * s] = LEFT_DOMAIN
+                status[2 * s + 1] = d
+        first = ti.min(first, low)
+        last = ti.max(last, high)
     for d in ti.static(range(3)):
-        if low[d] < 0 or high[d] > grid.shape[d]:
-            status[0] = LEFT_DOMAIN
-            status[1] = d
-    return low, high
+        boxes[ALL + d] = first[d]
+        boxes[ALL + 3 + d] = last[d]
+
+
+@ti.func
+def find_near(low, high, free: ti.template(), boxes: ti.template(), grid: ti.template()):
+    """The box of all nodes whose volume a finger takes a part of."""
+    total = grid.shape[0] * grid.shape[1] * grid.shape[2]
+    first, last = high, low
+    for i, j, k in ti.ndrange((low[0], high[0]), (low[1], high[1]), (low[2], high[2])):
+        if free[total + (i * grid.shape[1] + j) * grid.shape[2] + k] != 1.0:
+            first = ti.min(first, Int3(i, j, k))
+            last = ti.max(last, Int3(i, j, k) + 1)
+    for d in ti.static(range(3)):
+        boxes[NEAR + d] = first[d]
+        boxes[NEAR + 3 + d] = last[d]
 
 
 @ti.func
@@ -104,7 +155,7 @@ def find_handles(
     for i, j, k in ti.ndrange((low[0], high[0]), (low[1], high[1]), (low[2], high[2])):
         colliders[(i * ny + j) * nz + k] = Vec4(0.0)
     for i in range(x.shape[0]):
-        base, _, w0, w1, w2 = weights(x[i], grid)
+        base, _, w0, w1, w2 = weights(position_of(x[i]), grid)
         kind = Vec4(handles[i] == 1, handles[i] == 2, 1.0, 0.0)
         for p in range(3):
             for q in range(3):
@@ -117,259 +168,212 @@ def find_handles(
 
 
 @ti.func
-def particle_to_grid(
-    i,
-    dt,
-    x: ti.template(),
-    v: ti.template(),
-    C: ti.template(),
-    b: ti.template(),
-    largest: ti.template(),
-    nodes: ti.template(),
-    grid: ti.template(),
-    dough: ti.template(),
-):
-    """Deform a particle and add its momentum and mass to 27 nodes, without atomics."""
-    F = dt * C[i] + ti.Matrix.identity(ti.f32, 3)
-    s = b[i]
-    H = F @ Mat3(s[0], s[3], s[5], s[3], s[1], s[4], s[5], s[4], s[2])
-    trial = Sym(
-        H[0, 0] * F[0, 0] + H[0, 1] * F[0, 1] + H[0, 2] * F[0, 2],
-        H[1, 0] * F[1, 0] + H[1, 1] * F[1, 1] + H[1, 2] * F[1, 2],
-        H[2, 0] * F[2, 0] + H[2, 1] * F[2, 1] + H[2, 2] * F[2, 2],
-        H[0, 0] * F[1, 0] + H[0, 1] * F[1, 1] + H[0, 2] * F[1, 2],
-        H[1, 0] * F[2, 0] + H[1, 1] * F[2, 1] + H[1, 2] * F[2, 2],
-        H[0, 0] * F[2, 0] + H[0, 1] * F[2, 1] + H[0, 2] * F[2, 2],
-    )
-    new_b, tau = hencky_return(trial, dough.shear, dough.bulk, dough.yield_strain, largest[i])
-    b[i] = new_b
-    base, f, w0, w1, w2 = weights(x[i], grid)
-    k = -4.0 * dt * dough.volume * grid.inverse
-    m = dough.mass
-    affine = (
-        k * Mat3(tau[0], tau[3], tau[5], tau[3], tau[1], tau[4], tau[5], tau[4], tau[2])
-        + (m * grid.dx) * C[i]
-    )
-    ax = Vec3(affine[0, 0], affine[1, 0], affine[2, 0])
-    ay = Vec3(affine[0, 1], affine[1, 1], affine[2, 1])
-    az = Vec3(affine[0, 2], affine[1, 2], affine[2, 2])
-    ny, nz = grid.shape[1], grid.shape[2]
-    first = (base[0] * ny + base[1]) * nz + base[2]
-    # Momentum is affine in the node's place: each node is its neighbour's plus a constant.
-    momentum_x = m * v[i] - affine @ f
-    for p in ti.static(range(3)):
-        wx = ti.static([w0, w1, w2])[p][0]
-        momentum_y = momentum_x + ti.static(float(p)) * ax if ti.static(p > 0) else momentum_x
-        for q in ti.static(range(3)):
-            w = wx * ti.static([w0, w1, w2])[q][1]
-            g0 = momentum_y + ti.static(float(q)) * ay if ti.static(q > 0) else momentum_y
-            g1 = g0 + az
-            g2 = g1 + az
-            at = first + (p * ny + q) * nz
-            u0, u1, u2 = w * w0[2], w * w1[2], w * w2[2]
-            nodes[at] = nodes[at] + u0 * Vec4(g0[0], g0[1], g0[2], m)
-            nodes[at + 1] = nodes[at + 1] + u1 * Vec4(g1[0], g1[1], g1[2], m)
-            nodes[at + 2] = nodes[at + 2] + u2 * Vec4(g2[0], g2[1], g2[2], m)
-
-
-@ti.func
-def move_node(
-    at,
-    k,
-    dt,
-    fingers,
-    nodes: ti.template(),
-    colliders: ti.template(),
-    total,
-    grid: ti.template(),
-    dough: ti.template(),
-    contact: ti.template(),
-):
-    """Momentum -> velocity, then gravity, fingers and table."""
-    node = nodes[at]
-    if node[3] > 0.0:
-        u = (1.0 / node[3]) * Vec3(node[0], node[1], node[2])
-        u[2] = u[2] - dough.gravity * dt
-        if fingers:
-            for finger in range(2):
-                c = colliders[finger * total + at]
-                if c[3] < contact.band:
-                    wall = finger_side(finger) * (0.5 * contact.rate) * contact.axis
-                    hit = coulomb(u, wall, Vec3(c[0], c[1], c[2]), contact.friction)
-                    u = u + ti.min(1.0, 1.0 - c[3] / contact.band) * (hit - u)
-        if dough.driven:
-            c = colliders[at]
-            # Particles alone would drag the nodes like a viscous fluid, and slip.
-            if c[0] + c[1] > 0.5 * c[2]:
-                u = ti.select(c[1] > c[0], 1.0, -1.0) * dough.pull
-        if k <= grid.table:
-            u = coulomb(u, Vec3(0.0), Vec3(0.0, 0.0, 1.0), contact.table_friction)
-        nodes[at] = Vec4(u[0], u[1], u[2], node[3])
-
-
-@ti.func
-def grid_to_particle(
-    i,
-    dt,
-    fingers,
+def survey(
     opening,
     x: ti.template(),
-    v: ti.template(),
-    C: ti.template(),
-    largest: ti.template(),
     handles: ti.template(),
-    nodes: ti.template(),
+    colliders: ti.template(),
     free: ti.template(),
+    touch: ti.template(),
     sdf: ti.template(),
+    boxes: ti.template(),
     status: ti.template(),
     grid: ti.template(),
     dough: ti.template(),
     contact: ti.template(),
 ):
-    """Gather velocity, its gradient and density; move; keep out of fingers and table."""
-    base, f, w0, w1, w2 = weights(x[i], grid)
-    wx, wy, wz = ti.static([w0, w1, w2], [w0, w1, w2], [w0, w1, w2])
-    ny, nz = grid.shape[1], grid.shape[2]
-    first = (base[0] * ny + base[1]) * nz + base[2]
-    sums, sx, sy, sz = Vec4(0.0), Vec3(0.0), Vec3(0.0), Vec3(0.0)
-    room = 1.0
-    if fingers:
-        room = 0.0
-        for p in ti.static(range(3)):
-            for q in ti.static(range(3)):
-                at = grid.shape[0] * ny * nz + first + (p * ny + q) * nz
-                column = wz[0][2] * free[at] + wz[1][2] * free[at + 1] + wz[2][2] * free[at + 2]
-                room = room + (wx[p][0] * wy[q][1]) * column
-    # First moments of the nodes' velocity, one axis after the other.
-    for p in ti.static(range(3)):
-        plane, plane_y, plane_z = Vec4(0.0), Vec3(0.0), Vec3(0.0)
-        for q in ti.static(range(3)):
-            at = first + (p * ny + q) * nz
-            n0, n1, n2 = nodes[at], nodes[at + 1], nodes[at + 2]
-            line = wy[q][1] * (wz[0][2] * n0 + wz[1][2] * n1 + wz[2][2] * n2)
-            line_z = (wy[q][1] * wz[1][2]) * n1 + (2.0 * wy[q][1] * wz[2][2]) * n2
-            plane = plane + line
-            plane_z = plane_z + Vec3(line_z[0], line_z[1], line_z[2])
-            if ti.static(q > 0):
-                plane_y = plane_y + ti.static(float(q)) * Vec3(line[0], line[1], line[2])
-        sums = sums + wx[p][0] * plane
-        sy = sy + wx[p][0] * plane_y
-        sz = sz + wx[p][0] * plane_z
-        if ti.static(p > 0):
-            sx = sx + (ti.static(float(p)) * wx[p][0]) * Vec3(plane[0], plane[1], plane[2])
-    u = Vec3(sums[0], sums[1], sums[2])
-    gradient = Mat3(0.0)
-    for d in ti.static(range(3)):
-        gradient[d, 0] = (4.0 * grid.inverse) * (sx[d] - sums[d] * f[0])
-        gradient[d, 1] = (4.0 * grid.inverse) * (sy[d] - sums[d] * f[1])
-        gradient[d, 2] = (4.0 * grid.inverse) * (sz[d] - sums[d] * f[2])
-    # Material squeezed closer than its own volume says must not believe that it is stretched.
-    reference = (dough.density_cap * dough.mass / dough.volume) * grid.dx * grid.dx * grid.dx
-    largest[i] = ti.max(LEAST_VOLUME, reference * ti.max(room, LEAST_FREE) / sums[3])
-    if handles[i] > 0:
-        u = ti.select(handles[i] == 2, 1.0, -1.0) * dough.pull
-    move = dt * u
-    if move.dot(move) <= (LONGEST_MOVE * grid.dx) ** 2:  # false for NaN
-        moved = x[i] + move
-        if fingers:
-            for finger in range(2):
-                local = finger_local(moved, finger, opening, contact)
-                if sdf_holds(local, contact.sdf_spacing, contact):
-                    d, gradient_f = sdf_sample(local, sdf, contact)
-                    if d < 0.0:
-                        normal = finger_world(gradient_f, finger, contact)
-                        moved = moved + ti.min(-d, LONGEST_PUSH * grid.dx) * normal
-                        wall = finger_side(finger) * (0.5 * contact.rate) * contact.axis
-                        u = u - ti.min(0.0, (u - wall).dot(normal)) * normal
-        if grid.table >= 0 and moved[2] < 0.0:
-            moved[2] = 0.0
-            u[2] = ti.max(0.0, u[2])
-        x[i] = moved
-    elif status[0] == 0:
-        status[0] = CFL_BROKEN
-        status[1] = i
-    v[i] = u
-    C[i] = gradient
+    """Where particles, fingers and handles are: holds for the next EVERY substeps."""
+    find_regions(x, boxes, status, grid)
+    if running(status):
+        low = Int3(boxes[ALL], boxes[ALL + 1], boxes[ALL + 2])
+        high = Int3(boxes[ALL + 3], boxes[ALL + 4], boxes[ALL + 5])
+        if contact.fingers > 0:
+            find_fingers(low, high, opening, sdf, colliders, free, grid, contact)
+            find_near(low, high, free, boxes, grid)
+        if contact.fingers > 0 or grid.table >= 0:
+            find_touch(low, high, opening, x, sdf, touch, grid, contact)
+        if dough.driven > 0:
+            find_handles(low, high, x, handles, colliders, grid)
+
+
+@ti.func
+def scatter(
+    s,
+    dt,
+    x: ti.template(),
+    motion: ti.template(),
+    b: ti.template(),
+    parts: ti.template(),
+    boxes: ti.template(),
+    grid: ti.template(),
+    dough: ti.template(),
+):
+    """Momentum and mass of one slice, on its own grid."""
+    shift = s * grid.shape[0] * grid.shape[1] * grid.shape[2]
+    for i in range(boxes[6 * s], boxes[6 * s + 3]):
+        for j in range(boxes[6 * s + 1], boxes[6 * s + 4]):
+            row = shift + (i * grid.shape[1] + j) * grid.shape[2]
+            for at in range(row + boxes[6 * s + 2], row + boxes[6 * s + 5]):
+                parts[at] = Vec4(0.0)
+    for n in range((s * x.shape[0]) // SLICES, ((s + 1) * x.shape[0]) // SLICES):
+        i = n & MOST
+        particle_to_grid(i, dt, shift, x, motion, b, parts, grid, dough)
+
+
+@ti.func
+def move_layer(
+    i,
+    dt,
+    parts: ti.template(),
+    nodes: ti.template(),
+    colliders: ti.template(),
+    touch: ti.template(),
+    boxes: ti.template(),
+    grid: ti.template(),
+    dough: ti.template(),
+    contact: ti.template(),
+):
+    """Sum the slices' grids on one layer of nodes, then move the nodes."""
+    total = grid.shape[0] * grid.shape[1] * grid.shape[2]
+    for j in range(boxes[ALL + 1], boxes[ALL + 4]):
+        row = (i * grid.shape[1] + j) * grid.shape[2]
+        for k in range(boxes[ALL + 2], boxes[ALL + 5]):
+            nodes[row + k] = Vec4(0.0)
+        for s in range(SLICES):
+            across = boxes[6 * s] <= i and i < boxes[6 * s + 3]
+            if across and boxes[6 * s + 1] <= j and j < boxes[6 * s + 4]:
+                for k in range(boxes[6 * s + 2], boxes[6 * s + 5]):
+                    nodes[row + k] = nodes[row + k] + parts[s * total + row + k]
+        for k in range(boxes[ALL + 2], boxes[ALL + 5]):
+            move_node(row + k, k, dt, total, nodes, colliders, touch, grid, dough, contact)
+
+
+@ti.func
+def gather(
+    s,
+    dt,
+    opening,
+    x: ti.template(),
+    motion: ti.template(),
+    handles: ti.template(),
+    nodes: ti.template(),
+    free: ti.template(),
+    sdf: ti.template(),
+    boxes: ti.template(),
+    status: ti.template(),
+    grid: ti.template(),
+    dough: ti.template(),
+    contact: ti.template(),
+):
+    """Move the particles of one slice."""
+    for n in range((s * x.shape[0]) // SLICES, ((s + 1) * x.shape[0]) // SLICES):
+        i = n & MOST
+        broken = grid_to_particle(
+            i, dt, opening, x, motion, handles, nodes, free, sdf, boxes, NEAR, grid, dough, contact
+        )
+        if broken and status[2 * s] == 0:
+            status[2 * s] = CFL_BROKEN
+            status[2 * s + 1] = i
 
 
 @ti.kernel
 def advance(
     steps: ti.i32,
     dt: ti.f32,
-    x: Vectors,
-    v: Vectors,
-    C: Matrices,
+    x: Nodes,
+    motion: Nodes,
     b: Symmetrics,
-    largest: Scalars,
     handles: Integers,
+    parts: Nodes,
     nodes: Nodes,
     colliders: Nodes,
     free: Scalars,
+    touch: Integers,
     sdf: Scalars,
+    boxes: Integers,
     status: Integers,
     grid: Grid,
     dough: Dough,
     contact: Contact,
 ):
-    """Run substeps on one thread, in a fixed order: bitwise reproducible.
-
-    `status` is (reason, detail); once a reason is set the remaining substeps do nothing.
-    """
+    """Run substeps on one thread."""
     ti.loop_config(serialize=True)
     for step in range(steps):
-        total = grid.shape[0] * grid.shape[1] * grid.shape[2]
         now = contact.opening + contact.rate * dt * ti.cast(step, ti.f32)
-        if status[0] == 0 and step % EVERY == 0:
-            low, high = region_of(x, grid, status)
-            for d in ti.static(range(3)):
-                status[2 + d] = low[d]
-                status[5 + d] = high[d]
-            if status[0] == 0 and contact.fingers > 0:
-                find_fingers(low, high, now, sdf, colliders, free, grid, contact)
-            if status[0] == 0 and dough.driven > 0:
-                find_handles(low, high, x, handles, colliders, grid)
-        if status[0] == 0:
-            low = Int3(status[2], status[3], status[4])
-            high = Int3(status[5], status[6], status[7])
-            for i in range(low[0], high[0]):
-                for j in range(low[1], high[1]):
-                    row = (i * grid.shape[1] + j) * grid.shape[2]
-                    for at in range(row + low[2], row + high[2]):
-                        nodes[at] = Vec4(0.0)
-            for i in range(x.shape[0]):
-                particle_to_grid(i, dt, x, v, C, b, largest, nodes, grid, dough)
-            for i in range(low[0], high[0]):
-                for j in range(low[1], high[1]):
-                    row = (i * grid.shape[1] + j) * grid.shape[2]
-                    for k in range(low[2], high[2]):
-                        move_node(
-                            row + k,
-                            k,
-                            dt,
-                            contact.fingers,
-                            nodes,
-                            colliders,
-                            total,
-                            grid,
-                            dough,
-                            contact,
-                        )
-            for i in range(x.shape[0]):
-                grid_to_particle(
-                    i,
-                    dt,
-                    contact.fingers,
-                    now + contact.rate * dt,
-                    x,
-                    v,
-                    C,
-                    largest,
-                    handles,
-                    nodes,
-                    free,
-                    sdf,
-                    status,
-                    grid,
-                    dough,
-                    contact,
-                )
+        if running(status) and step % EVERY == 0:
+            survey(
+                now, x, handles, colliders, free, touch, sdf, boxes, status, grid, dough, contact
+            )
+        if running(status):
+            for s in range(SLICES):
+                scatter(s, dt, x, motion, b, parts, boxes, grid, dough)
+            for i in range(boxes[ALL], boxes[ALL + 3]):
+                move_layer(i, dt, parts, nodes, colliders, touch, boxes, grid, dough, contact)
+            for s in range(SLICES):
+                gather(
+                    s, dt, now + contact.rate * dt, x, motion, handles,
+                    nodes, free, sdf, boxes, status, grid, dough, contact,
+                )  # fmt: skip
+
+
+@ti.kernel
+def look(
+    clock: Integers,  # [0] = number of the substep: bound once, changed by the caller
+    dt: ti.f32,
+    x: Nodes,
+    handles: Integers,
+    colliders: Nodes,
+    free: Scalars,
+    touch: Integers,
+    sdf: Scalars,
+    boxes: Integers,
+    status: Integers,
+    grid: Grid,
+    dough: Dough,
+    contact: Contact,
+):
+    """What `advance` does before every EVERY-th substep."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        now = contact.opening + contact.rate * dt * ti.cast(clock[0], ti.f32)
+        survey(now, x, handles, colliders, free, touch, sdf, boxes, status, grid, dough, contact)
+
+
+@ti.kernel
+def substep(
+    clock: Integers,  # [0] = number of the substep: bound once, changed by the caller
+    dt: ti.f32,
+    x: Nodes,
+    motion: Nodes,
+    b: Symmetrics,
+    handles: Integers,
+    parts: Nodes,
+    nodes: Nodes,
+    colliders: Nodes,
+    free: Scalars,
+    touch: Integers,
+    sdf: Scalars,
+    boxes: Integers,
+    status: Integers,
+    grid: Grid,
+    dough: Dough,
+    contact: Contact,
+):
+    """One substep on all threads, with the results of `advance`: same sums in the same order."""
+    for n in range(SLICES * PAD):
+        if n % PAD == 0 and running(status):
+            scatter(n // PAD, dt, x, motion, b, parts, boxes, grid, dough)
+    for n in range(SLICES * PAD):
+        if n % PAD == 0 and running(status):
+            length = boxes[ALL + 3] - boxes[ALL]
+            s = n // PAD
+            begin = boxes[ALL] + (s * length) // SLICES
+            for i in range(begin, boxes[ALL] + ((s + 1) * length) // SLICES):
+                move_layer(i, dt, parts, nodes, colliders, touch, boxes, grid, dough, contact)
+    for n in range(SLICES * PAD):
+        if n % PAD == 0:
+            now = contact.opening + contact.rate * dt * ti.cast(clock[0], ti.f32)
+            gather(
+                n // PAD, dt, now + contact.rate * dt, x, motion, handles,
+                nodes, free, sdf, boxes, status, grid, dough, contact,
+            )  # fmt: skip

@@ -4,17 +4,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int8
+from jaxtyping import Float32, Float64, Int8, Int32, Int64
 
 from doughdata.scenes.sdf import SignedDistanceGrid
 from doughdata.sim import contact, kernels
-from doughdata.sim._taichi import start
+from doughdata.sim._taichi import Bound, start
 from doughdata.sim.stress import Vec3
 from doughschemas import Material, SimulationError
 
-__all__ = ["Physics", "Solver", "Squeeze"]
+__all__ = ["RETRIES", "Physics", "Solver", "Squeeze", "contact_of", "grid_of"]
 
+REACH = 0.65  # spacings; the outermost particles of resting dough are 0.5 from a wall
+RETRIES = 2  # of a stretch that broke the limit, each with half the substep: waves grew within it
 EDGE = 5  # [cells] of background grid beyond the domain: kernel support and a step's travel
+STABLE = 0.9  # of dx, that the fastest wave of the dough as it is may cross; 0.98 was the limit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +56,9 @@ class Squeeze:
 
 
 class Solver:
-    """MLS-MPM state of one cloud, on one thread.
+    """MLS-MPM state of one cloud, all arrays in the order of `positions`.
+
+    The same bytes come out for every number of threads.
 
     Args:
         positions: [m], (particles, 3), world; must lie inside the domain.
@@ -62,6 +67,7 @@ class Solver:
         pull: [m/s], velocity of handle 2.
         middle: [m], (x, y) that the grid is centred on: the gap of the first squeeze.
         arch: see `doughdata.sim._taichi.start`.
+        threads: of the CPU. Worth it for large clouds on idle cores alone.
     """
 
     def __init__(
@@ -73,8 +79,9 @@ class Solver:
         pull: tuple[float, float, float] = (0.0, 0.0, 0.0),
         middle: tuple[float, float] | None = None,
         arch: str = "cpu",
+        threads: int = 1,
     ) -> None:
-        start(arch)
+        start(arch, threads=threads)
         count = len(positions)
         self.physics = physics
         self.x = np.ascontiguousarray(positions, dtype=np.float32)
@@ -84,40 +91,91 @@ class Solver:
         self.b[:, :3] = 1.0
         self.largest = np.full(count, 10.0, np.float32)
         self.handles = np.zeros(count, np.int32) if handles is None else handles.astype(np.int32)
+        self._arch, self._threads = arch, threads
         self._speed = float(np.linalg.norm(pull))
         self._middle = middle
-        self._grid = _grid(physics, middle)
+        self._grid = grid_of(physics, middle)
         self._dough = _dough(physics, pull, driven=bool(self.handles.any()))
-        self._arrays = _grid_arrays(int(np.prod(self._grid.shape)))
+        self._order = _slice_order(self.x, physics.dx)
 
     def advance(
         self, seconds: float, *, squeeze: Squeeze | None = None, steps: int | None = None
     ) -> int:
         """Move by an exact stretch of time and return the number of substeps.
 
-        `steps` overrides the number that the CFL limit asks for.
+        `steps` overrides the number that the CFL limit asks for. That number is chosen from the
+        dough as it is; where that was too few, the stretch is run again with twice as many.
 
         Raises:
             SimulationError: a particle left the domain, or moved too far in a substep (also NaN).
         """
         if squeeze is not None and squeeze.position != self._middle:
             self._middle = squeeze.position  # nothing on the grid outlives a substep
-            self._grid = _grid(self.physics, self._middle)
-        fastest = max(0.3, 2.0 * self._speed, 0.0 if squeeze is None else 2.0 * abs(squeeze.rate))
-        limit = self.physics.cfl * self.physics.dx / (self.physics.wave_speed + fastest)
-        steps = steps or max(1, int(np.ceil(seconds / limit - 1e-9)))
-        nodes, colliders, free = self._arrays
-        status = np.zeros(8, np.int32)
-        sdf = np.zeros(8, np.float32) if squeeze is None else squeeze.sdf.values.reshape(-1)
-        kernels.advance(
-            steps, seconds / steps, self.x, self.v, self.C, self.b, self.largest, self.handles,
-            nodes, colliders, free, sdf, status,
-            self._grid, self._dough, _contact(self.physics, squeeze),
-        )  # fmt: skip
-        self._check(status)
+            self._grid = grid_of(self.physics, self._middle)
+        tries = RETRIES if steps is None else 0
+        steps = steps or self.substeps(seconds, squeeze=squeeze)
+        start(self._arch, threads=self._threads)  # another solver may have asked for others
+        state = _Rows(self, self._order)
+        status = self._run(state, steps, seconds / steps, squeeze)
+        while tries and (status[::2] == kernels.CFL_BROKEN).any():
+            tries, steps = tries - 1, 2 * steps
+            state = _Rows(self, self._order)
+            status = self._run(state, steps, seconds / steps, squeeze)
+        state.store(self)
+        for found in status.reshape(-1, 2):
+            if found[0] == kernels.CFL_BROKEN:
+                found[1] = self._order[found[1]]
+            self.check(found)
         return steps
 
-    def _check(self, status: np.ndarray) -> None:
+    def substeps(self, seconds: float, *, squeeze: Squeeze | None = None) -> int:
+        """How many substeps a stretch of time needs, from the dough as it is now.
+
+        Waves, fingers and dough in motion count, up to dough as fast as its waves: beyond that a
+        run is lost and must fail. Squeezed dough carries faster waves: Hencky's energy gives
+        c sqrt(1 - log J) along a stretch of J alone.
+        """
+        p, finite = self.physics, np.isfinite(self.v).all() and np.isfinite(self.b).all()
+        moving = min(float(np.linalg.norm(self.v, axis=1).max()), p.wave_speed) if finite else 0.0
+        driven = max(self._speed, 0.0 if squeeze is None else abs(squeeze.rate))
+        limit = p.cfl * p.dx / (p.wave_speed + 2.0 * max(0.15, driven, moving))
+        if finite:
+            squeezed = 1.0 - 0.5 * np.log(np.clip(_determinant(self.b).min(), 1e-8, 1.0))
+            limit = min(limit, STABLE * p.dx / (p.wave_speed * np.sqrt(squeezed) + moving))
+        return max(1, int(np.ceil(seconds / limit - 1e-9)))
+
+    def _run(
+        self, state: "_Rows", steps: int, dt: float, squeeze: Squeeze | None
+    ) -> Int32[np.ndarray, " status"]:
+        """All substeps, on one thread or several: the kernels' status."""
+        parts, nodes, colliders, free, touch = _grid_arrays(int(np.prod(self._grid.shape)))
+        status = np.zeros(2 * kernels.SLICES, np.int32)
+        boxes = np.zeros(kernels.NEAR + 6, np.int32)
+        sdf = np.zeros(8, np.float32) if squeeze is None else squeeze.sdf.values.reshape(-1)
+        s, structs = state, (self._grid, self._dough, contact_of(self.physics, squeeze))
+        seen = (colliders, free, touch, sdf, boxes, status, *structs)
+        moved = (s.x, s.motion, s.b, s.handles, parts, nodes, *seen)
+        if self._threads == 1:
+            kernels.advance(steps, dt, *moved)
+            return status
+        clock = np.zeros(1, np.int32)
+        look = Bound(kernels.look, clock, dt, s.x, s.handles, *seen)
+        substep = Bound(kernels.substep, clock, dt, *moved)
+        for step in range(steps):
+            clock[0] = step
+            if step % kernels.EVERY == 0:
+                look()
+                if status.any():
+                    break
+            substep()
+        return status
+
+    def check(self, status: np.ndarray) -> None:
+        """Turn a kernel's (reason, detail) into an error in words.
+
+        Raises:
+            SimulationError: there is a reason.
+        """
         low, high = self.physics.low, self.physics.high
         if status[0] == kernels.LEFT_DOMAIN:
             axis = "xyz"[status[1]]
@@ -139,7 +197,45 @@ class Solver:
         return self.x.copy()
 
 
-def _grid(physics: Physics, middle: tuple[float, float] | None) -> Any:
+class _Rows:
+    """The state of a solver in slice order and in the rows that `transfers` describes."""
+
+    def __init__(self, solver: Solver, order: Int64[np.ndarray, " particles"]) -> None:
+        count = len(order)
+        self.order = order
+        self.x = np.concatenate([solver.x, solver.largest[:, None]], axis=1)[order]
+        motion = np.zeros((count, 4, 4), np.float32)
+        motion[:, 0, :3], motion[:, 0, 3] = solver.v[order], 1.0
+        motion[:, 1:, :3] = solver.C.transpose(0, 2, 1)[order]
+        self.motion = motion.reshape(-1, 4)
+        self.b = solver.b[order]
+        self.handles = solver.handles[order]
+
+    def store(self, solver: Solver) -> None:
+        """Bring a solver's arrays up to date."""
+        solver.x[self.order], solver.largest[self.order] = self.x[:, :3], self.x[:, 3]
+        motion = self.motion.reshape(-1, 4, 4)[:, :, :3]
+        solver.v[self.order], solver.b[self.order] = motion[:, 0], self.b
+        solver.C[self.order] = motion[:, 1:].transpose(0, 2, 1)
+
+
+def _slice_order(x: Float32[np.ndarray, "particles 3"], dx: float) -> Int64[np.ndarray, " _"]:
+    """Particles by cell, the longest axis of the cloud first: slices overlap in few layers.
+
+    Taken once: dough does not mix, and a run in parts must be the run in one.
+    """
+    cells = np.floor(x / dx).astype(np.int64)
+    axes = np.argsort(np.ptp(cells, axis=0), kind="stable")
+    return np.lexsort([cells[:, axis] for axis in axes])
+
+
+def _determinant(b: Float32[np.ndarray, "particles 6"]) -> Float64[np.ndarray, " particles"]:
+    """Of the packed symmetric matrices (xx, yy, zz, xy, yz, xz)."""
+    full = b.astype(np.float64)[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]]
+    return np.linalg.det(full.reshape(-1, 3, 3))
+
+
+def grid_of(physics: Physics, middle: tuple[float, float] | None) -> Any:
     """Background grid over the domain; with a table, a layer of nodes lies exactly on it.
 
     `middle` [m] becomes the centre of a cell. A node there could not move sideways, by symmetry,
@@ -176,14 +272,15 @@ def _dough(physics: Physics, pull: tuple[float, float, float], *, driven: bool) 
     )
 
 
-def _contact(physics: Physics, squeeze: Squeeze | None) -> Any:
+def contact_of(physics: Physics, squeeze: Squeeze | None) -> Any:
+    """Fingers and table as the kernels take them."""
     table = physics.table_friction or 0.0
-    zero = Vec3(0.0, 0.0, 0.0)
+    reach, zero = REACH * physics.spacing, Vec3(0.0, 0.0, 0.0)
     if squeeze is None:
         return contact.Contact(
             fingers=0, gap=zero, axis=Vec3(1.0, 0.0, 0.0), opening=0.0, rate=0.0,
-            friction=0.0, table_friction=table, band=0.0, sdf_origin=zero, sdf_spacing=1.0,
-            sdf_shape=contact.Int3(2, 2, 2),
+            friction=0.0, table_friction=table, reach=reach, band=0.0, sdf_origin=zero,
+            sdf_spacing=1.0, sdf_shape=contact.Int3(2, 2, 2),
         )  # fmt: skip
     return contact.Contact(
         fingers=2,
@@ -193,6 +290,7 @@ def _contact(physics: Physics, squeeze: Squeeze | None) -> Any:
         rate=squeeze.rate,
         friction=squeeze.friction,
         table_friction=table,
+        reach=reach,
         band=0.5 * physics.dx,
         sdf_origin=Vec3(*squeeze.sdf.origin),
         sdf_spacing=squeeze.sdf.spacing,
@@ -200,16 +298,17 @@ def _contact(physics: Physics, squeeze: Squeeze | None) -> Any:
     )
 
 
-_kept: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+_kept: dict[int, tuple[np.ndarray, ...]] = {}
 
 
-def _grid_arrays(total: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _grid_arrays(total: int) -> tuple[np.ndarray, ...]:
     """Node arrays of one grid size; the last size is kept, because a run writes before it reads."""
     if total not in _kept:
         _kept.clear()
+        rows = (kernels.SLICES * total, total, 2 * total)  # of the slices, their sum, colliders
         _kept[total] = (
-            np.zeros((total, 4), np.float32),
-            np.zeros((2 * total, 4), np.float32),
+            *(np.zeros((count, 4), np.float32) for count in rows),
             np.zeros(2 * total, np.float32),
+            np.zeros(total, np.int32),
         )
     return _kept[total]

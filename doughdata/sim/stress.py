@@ -69,21 +69,24 @@ def sym_eigen(s):
     a = Mat3(s[0], s[3], s[5], s[3], s[1], s[4], s[5], s[4], s[2])
     q = Mat3(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     for _ in range(6):  # quadratic convergence: 1e-7 is reached after four sweeps
-        for pair in ti.static(((0, 1), (0, 2), (1, 2))):
-            i, j = ti.static(pair[0], pair[1])
+        for axes in ti.static(((0, 1, 2), (0, 2, 1), (1, 2, 0))):
+            i, j, k = ti.static(axes[0], axes[1], axes[2])
             off = a[i, j]
             if ti.abs(off) > 1e-12 * (ti.abs(a[i, i]) + ti.abs(a[j, j])):
                 theta = (a[j, j] - a[i, i]) / (2.0 * off)
                 side = ti.select(theta >= 0.0, 1.0, -1.0)
                 t = side / (ti.abs(theta) + ti.sqrt(theta * theta + 1.0))
                 c = 1.0 / ti.sqrt(t * t + 1.0)
-                turn = Mat3(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-                turn[i, i] = c
-                turn[j, j] = c
-                turn[i, j] = t * c
-                turn[j, i] = -t * c
-                a = turn.transpose() @ a @ turn
-                q = q @ turn
+                s_ik, s_jk = c * a[i, k] - t * c * a[j, k], t * c * a[i, k] + c * a[j, k]
+                a[i, i] = a[i, i] - t * off
+                a[j, j] = a[j, j] + t * off
+                a[i, j], a[j, i] = 0.0, 0.0
+                a[i, k], a[k, i] = s_ik, s_ik
+                a[j, k], a[k, j] = s_jk, s_jk
+                for d in ti.static(range(3)):
+                    q_i, q_j = c * q[d, i] - t * c * q[d, j], t * c * q[d, i] + c * q[d, j]
+                    q[d, i] = q_i
+                    q[d, j] = q_j
     return Vec3(a[0, 0], a[1, 1], a[2, 2]), q
 
 

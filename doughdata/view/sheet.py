@@ -2,67 +2,31 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float, Float64
 
 from doughdata.geometry import transform_points
-from doughdata.scenes.tools import finger_mesh
 from doughdata.view.layout import SceneStrip, draw_sheet
 from doughdata.view.panels import Picture
+from doughdata.view.scene_data import ViewDataset, chosen_sensor, ranges, scene_title, tool_shape
 from doughschemas import (
     BadInputError,
     DepthViews,
     MissingLayerError,
     Particles,
-    Scene,
-    Tool,
-    Topology,
     TopologyEvent,
 )
 
-__all__ = ["SheetDataset", "save_sheet"]
+__all__ = ["save_sheet"]
 
 MOST_SCENES = 4
 COLUMNS = 6
 
 
-class SheetDataset(Protocol):
-    """What the sheet needs of `doughdata.open_dataset(...)`.
-
-    `frame(...)` gives `.meshes` and `.depth(sensor)`; what is missing raises `MissingLayerError`.
-    """
-
-    @property
-    def layers(self) -> Iterable[str]:
-        """Names of the layers that exist."""
-        ...
-
-    @property
-    def scene_indices(self) -> Sequence[int]:
-        """Scenes that have particles."""
-        ...
-
-    def scene(self, scene_index: int) -> Scene:
-        """The scene's definition."""
-        ...
-
-    def read_particles(self, scene_index: int) -> Particles:
-        """All key frames."""
-        ...
-
-    def read_topology(self, scene_index: int) -> Topology:
-        """All key frames."""
-        ...
-
-    def frame(self, *, scene: int, frame: int) -> Any:
-        """One key frame, lazily read."""
-        ...
-
-
 def save_sheet(
-    dataset: SheetDataset,
+    dataset: ViewDataset,
     path: str | Path,
     *,
     scenes: Iterable[int] | None = None,
@@ -90,9 +54,9 @@ def save_sheet(
         [there[i] for i in _spread(len(there), MOST_SCENES)] if scenes is None else list(scenes)
     )
     if wrong := [scene for scene in chosen if scene not in there]:
-        raise BadInputError(f"no scene {wrong[0]}: the dataset holds {_ranges(there)}")
+        raise BadInputError(f"no scene {wrong[0]}: the dataset holds {ranges(there)}")
     wanted = None if frames is None else tuple(frames)
-    sensor = _sensor(dataset, sensor)
+    sensor = chosen_sensor(dataset, sensor)
     strips = [_strip(dataset, scene, wanted, sensor) for scene in chosen]
     figure = draw_sheet(strips, caption=f"{len(chosen)} of {len(there)} scenes")
     try:
@@ -108,30 +72,8 @@ def _spread(total: int, most: int) -> list[int]:
     return sorted({round(x) for x in np.linspace(0, total - 1, min(total, most))})
 
 
-def _ranges(indices: Sequence[int]) -> str:
-    """Sorted indices in short, as 0..3, 5, 7..9."""
-    runs: list[list[int]] = []
-    for index in indices:
-        if runs and index == runs[-1][1] + 1:
-            runs[-1][1] = index
-        else:
-            runs.append([index, index])
-    return ", ".join(f"{first}..{last}" if first < last else f"{first}" for first, last in runs)
-
-
-def _sensor(dataset: SheetDataset, wanted: str | None) -> str:
-    """The wanted depth layer, or the first one, or "" where there is none."""
-    made = [layer.partition(".")[2] for layer in dataset.layers if layer.startswith("depth.")]
-    if wanted is not None and wanted not in made:
-        raise BadInputError(
-            f"no depth of sensor {wanted!r} (there is: {', '.join(made) or 'none'}); "
-            f"make it with `doughdata render --noise {wanted}`"
-        )
-    return wanted or next(iter(made), "")
-
-
 def _strip(
-    dataset: SheetDataset, index: int, wanted: tuple[int, ...] | None, sensor: str
+    dataset: ViewDataset, index: int, wanted: tuple[int, ...] | None, sensor: str
 ) -> SceneStrip:
     """Read what the sheet shows of one scene."""
     scene, particles = dataset.scene(index), dataset.read_particles(index)
@@ -141,7 +83,7 @@ def _strip(
     frames = _default_frames(total, events) if wanted is None else wanted
     if wrong := [frame for frame in frames if not 0 <= frame < total]:
         raise BadInputError(f"scene {index} has no key frame {wrong[0]}, but 0..{total - 1}")
-    corners = [_finger_points(scene.tools[action.tool]) for action in scene.actions]
+    corners = [tool_shape(scene.tools[action.tool]).vertices for action in scene.actions]
     pictures = []
     for frame in frames:
         layers = dataset.frame(scene=index, frame=frame)
@@ -162,7 +104,7 @@ def _strip(
             )
         )
     return SceneStrip(
-        title=_title(index, scene),
+        title=scene_title(index, scene),
         frames=frames,
         times=tuple(float(particles.timestamps[frame]) for frame in frames),
         pictures=tuple(pictures),
@@ -192,28 +134,11 @@ def _default_frames(total: int, events: Sequence[TopologyEvent]) -> tuple[int, .
     return tuple(sorted(chosen))
 
 
-def _finger_points(tool: Tool) -> Float64[np.ndarray, "points 3"]:
-    """Corners of a finger [m] in its own frame; a box needs no mesh library."""
-    if tool.mesh is not None:
-        return np.asarray(finger_mesh(tool).vertices, float)
-    x, y, z = np.meshgrid(
-        [0.0, tool.depth], [-tool.width / 2, tool.width / 2], [0.0, tool.height], indexing="ij"
-    )
-    return np.stack([x, y, z], axis=-1).reshape(-1, 3)
-
-
 def _posed(
-    corners: Sequence[Float64[np.ndarray, "points 3"]], particles: Particles, frame: int
+    corners: Sequence[Float[np.ndarray, "points 3"]], particles: Particles, frame: int
 ) -> tuple[Float64[np.ndarray, "points 3"], ...]:
     poses = particles.tool_poses
     return tuple(
         transform_points(corners[int(poses.action[frame])], position, quaternion)
         for position, quaternion in zip(poses.position[frame], poses.quaternion[frame], strict=True)
     )
-
-
-def _title(index: int, scene: Scene) -> str:
-    tools = ", ".join(dict.fromkeys(scene.tools[action.tool].name for action in scene.actions))
-    region = "" if scene.region in (scene.split, "custom") else f" ({scene.region})"
-    parts = [f"scene {index}", scene.scene_id, f"{scene.split}{region}", f"tool: {tools}"]
-    return "  \N{MIDDLE DOT}  ".join(parts)

@@ -27,15 +27,8 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 COMMANDS = (
-    "generate",
-    "render",
-    "validate",
-    "info",
-    "stats",
-    "view",
-    "plugins",
-    "scenes",
-    "reproduce",
+    *("generate", "render", "validate", "reproduce", "info", "stats", "view", "export"),
+    *("plugins", "scenes"),
 )
 
 

@@ -52,6 +52,12 @@ def test_add_a_sensor(tiny_dataset: Path, tmp_path: Path) -> None:
     assert 0.01 < (depth.depth[0] == 0).mean() < 0.2
 
 
+def test_cut_join_and_your_own_tool(tmp_path: Path) -> None:
+    """Example 5 cuts a roll in two and joins it again, and opens a ring with a user's own wedge."""
+    printed = run("05_cut_join_and_your_own_tool.py", tmp_path, cwd=tmp_path)
+    assert "(0, 0)" in printed
+
+
 def test_the_readme_reads_a_dataset(tiny_dataset: Path, tmp_path: Path) -> None:
     """The Python blocks of README run against a real dataset named as in the text."""
     (tmp_path / "dough-dataset").symlink_to(tiny_dataset)

@@ -8,10 +8,11 @@ from hypothesis import strategies as st
 from doughdata.mesh.checks import is_edge_manifold, is_vertex_manifold, mesh_volume
 from doughdata.mesh.dual_contouring import DualContouring
 from doughdata.mesh.marching_cubes import MarchingCubes
+from doughdata.mesh.surface_nets import SurfaceNets
 from doughschemas import STRAY, FrameTopology, SceneGraph
 
 SPACING = 0.002
-MESHERS = [DualContouring, MarchingCubes]
+MESHERS = [DualContouring, MarchingCubes, SurfaceNets]
 
 
 def topology_of(labels: np.ndarray, components: int, contacts: np.ndarray) -> FrameTopology:

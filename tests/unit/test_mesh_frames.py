@@ -14,8 +14,10 @@ from doughdata.mesh.checks import (
     mesh_volume,
     shell_count,
 )
+from doughdata.mesh.component import SolidConfig
 from doughdata.mesh.dual_contouring import DualContouring
 from doughdata.mesh.marching_cubes import MarchingCubes
+from doughdata.mesh.surface_nets import SurfaceNets
 from doughdata.stages import Mesher
 from doughschemas import (
     NO_COMPONENT,
@@ -27,7 +29,7 @@ from doughschemas import (
 )
 
 SPACING = 0.002
-MESHERS = [DualContouring, MarchingCubes]
+MESHERS = [DualContouring, MarchingCubes, SurfaceNets]
 
 
 def lattice(low: Sequence[float], high: Sequence[float], *, seed: int = 0) -> np.ndarray:
@@ -176,9 +178,15 @@ def test_loose_halves_come_out_as_one_shell() -> None:
     assert mesh_genus(mesh.faces) == 0
 
 
-@pytest.mark.parametrize("mesher", MESHERS)
-def test_label_grid_is_what_the_meshes_hold(mesher: type) -> None:
-    """Away from the surface a grid node has label k exactly when mesh k contains it (Open3D)."""
+@pytest.mark.parametrize(
+    ("mesher", "slack"), [(DualContouring, 0.48), (MarchingCubes, 0.48), (SurfaceNets, 0.98)]
+)
+def test_label_grid_is_what_the_meshes_hold(mesher: type, slack: float) -> None:
+    """Further than `slack` cells from the surface a node has label k just when mesh k contains it.
+
+    The mean of three crossings, where surface nets put a corner, is up to 0.58 cells inside of it,
+    and the surface is moved by up to 0.4 cells to make up for that; Open3D judges.
+    """
     import open3d
 
     clouds = lattice((0, 0, 0), (0.02, 0.016, 0.01)), lattice((0.021, 0, 0), (0.033, 0.02, 0.008))
@@ -191,7 +199,7 @@ def test_label_grid_is_what_the_meshes_hold(mesher: type) -> None:
         scene = open3d.t.geometry.RaycastingScene(nthreads=1)
         scene.add_triangles(mesh.vertices, mesh.faces)
         signed = scene.compute_signed_distance(nodes.astype(np.float32)).numpy()
-        clear = np.abs(signed) > 0.3 * SPACING
+        clear = np.abs(signed) > slack * SPACING / SolidConfig().cells_per_spacing
         assert np.array_equal(owner[clear] == label, signed[clear] < 0)
 
 
@@ -204,7 +212,7 @@ def test_label_grids_share_one_lattice() -> None:
         assert np.allclose(multiples, np.rint(multiples), atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["dual-contouring", "marching-cubes"])
+@pytest.mark.parametrize("name", ["dual-contouring", "marching-cubes", "surface-nets"])
 def test_meshers_are_plug_ins(name: str) -> None:
-    """Both meshers are registered and need no arguments."""
+    """All meshers are registered and need no arguments."""
     assert isinstance(registry.load("meshers", name)(), Mesher)

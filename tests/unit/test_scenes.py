@@ -21,7 +21,13 @@ from doughdata.scenes import (
 from doughdata.scenes.regions import REGIONS
 from doughschemas import Action, Body, Scene, SceneError, Tool, UnknownNameError
 
-FAMILIES = {"rolls": (0.008, 0.014, "radius"), "doughnut": (0.018, 0.030, "ring_radius")}
+FAMILIES = {
+    "rolls": (0.008, 0.014, "radius"),
+    "doughnut": (0.018, 0.030, "ring_radius"),
+    "roll": (0.008, 0.014, "radius"),
+    "ball": (0.012, 0.020, "radius"),
+    "pretzel": (0.014, 0.018, "ring_radius"),
+}
 
 
 def sample(family: str, **key: object) -> Scene:
@@ -59,6 +65,22 @@ def test_every_tool_preset_occurs() -> None:
     tools = [sample("rolls", number=i).tools[0] for i in range(60)]
     assert {tool.name for tool in tools} == set(PRESETS)
     assert all(0.003 <= tool.width <= 0.100 for tool in tools)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_sampled_cutter_passes_the_dough_and_a_vise_leaves_some(family: str) -> None:
+    """Fingers that cut are deeper than half of the dough across; vises do not close to a film."""
+    for i in range(40):
+        scene = sample(family, number=i)
+        tool, action = scene.tools[0], scene.actions[0]
+        across = max(
+            float(np.ptp(np.append(shape_of(body).bounds()[:, 0] + body.position[0], 0.0)))
+            for body in scene.bodies
+        )
+        if tool.width > 0.030:
+            assert action.opening_end >= 0.005
+        else:
+            assert tool.depth >= across or family in ("doughnut", "pretzel")
 
 
 @pytest.mark.parametrize("shape", ["roll", "ring"])

@@ -84,13 +84,13 @@ def test_ideal_sensor_changes_nothing() -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["none", "realsense", "blenderproc"])
+@pytest.mark.parametrize("name", ["none", "realsense", "blenderproc", "kinect", "azure", "stereo"])
 def test_sensors_are_found_by_name(name: str) -> None:
     """Each built-in loads from its entry point, needs no arguments and keeps the contract."""
     assert name in names("sensors")
     sensor = load("sensors", name)()
     assert isinstance(sensor, Sensor)
-    ideal = image(np.full((48, 64), 0.6))
+    ideal = image(np.full((CAMERA.intrinsics.height, CAMERA.intrinsics.width), 0.6))
     noisy = sensor.observe(ideal, CAMERA, rng=np.random.default_rng(0))
     assert noisy.shape == ideal.depth.shape
     assert noisy.dtype == np.float32

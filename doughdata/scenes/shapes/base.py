@@ -9,6 +9,8 @@ from doughschemas import Body, SceneError
 
 __all__ = ["require_range", "shape_of"]
 
+TYPES: dict[Any, str] = {float: "a number", int: "an integer", str: "text"}
+
 
 def shape_of(body: Body) -> Shape:
     """The solid of a body, at its own origin.
@@ -25,9 +27,8 @@ def shape_of(body: Body) -> Shape:
             f"shape {body.shape!r} has no {', '.join(unknown)} (it has: {', '.join(known)})"
         )
     for field in fields(shape):
-        value = body.parameters.get(field.name, 0.0)
-        if field.type is float and (isinstance(value, bool) or not isinstance(value, int | float)):
-            raise SceneError(f"{body.shape} {field.name} must be a number, got {value!r}")
+        if field.name in body.parameters:
+            _check_type(body, field.name, field.type)
     try:
         return shape(**body.parameters)
     except TypeError as error:
@@ -43,3 +44,11 @@ def require_range(what: str, value: Any, low: float, high: float, *, unit: str =
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not (number and low <= value <= high):
         raise SceneError(f"{what} must be within {low:g}..{high:g} {unit}, got {value!r}".rstrip())
+
+
+def _check_type(body: Body, name: str, kind: Any) -> None:
+    """A parameter must have the type of its field; an integer may stand for a float."""
+    value: Any = body.parameters[name]
+    accepted = (int, float) if kind is float else kind
+    if kind in TYPES and (isinstance(value, bool) or not isinstance(value, accepted)):
+        raise SceneError(f"{body.shape} {name} must be {TYPES[kind]}, got {value!r}")

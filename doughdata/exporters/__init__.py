@@ -1,0 +1,1 @@
+"""Exporters: a dataset's scenes in formats that other programs open."""
