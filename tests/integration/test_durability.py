@@ -12,7 +12,10 @@ from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 
-from tests.integration.conftest import FRAMES, command
+import numpy as np
+
+from doughdata import open_dataset
+from tests.integration.conftest import FRAMES, TINY, command, squeeze
 
 
 def committed(dataset: Path) -> dict[str, str]:
@@ -139,3 +142,23 @@ def test_a_full_disk_is_told_and_loses_nothing(tiny_scenes: Path, tmp_path: Path
     assert "file too large" in done.stderr.splitlines()[-1]
     command("generate", "--scenes", tiny_scenes, *options, cwd=tmp_path)
     command("validate", "--deep", cwd=tmp_path)
+
+
+def test_a_scene_that_fails_is_named_and_costs_only_itself(tmp_path: Path) -> None:
+    """In one shard, a scene whose second action begins inside dough fails by name; two go on."""
+    inside = squeeze(0.001, start=0.004, yaw=1.5)
+    bad = {**TINY[1], "scene_id": "bad", "actions": [*TINY[1]["actions"], inside]}
+    last = {**TINY[1], "scene_id": "last"}
+    (tmp_path / "three.json").write_text(json.dumps([TINY[1], bad, last]))
+    options = ("--stages", "simulate", "--scenes-per-shard", 3, "--dataset", "dough", "--json")
+    made = command(
+        *("generate", "--scenes", "three.json", "--frames", 6, *options), cwd=tmp_path, code=1
+    )
+    failed = json.loads(made.stdout)["failed"]["sim"]
+    assert list(failed) == ["1"]
+    assert "action 1: finger" in failed["1"]
+    dataset = open_dataset(tmp_path / "dough")
+    assert dataset.scene_indices == [0, 2]
+    assert all(np.isfinite(dataset.read_particles(k).positions).all() for k in (0, 2))
+    record = dataset.layer("sim", 0).commit
+    assert "inside the dough" in record.failed[1]
