@@ -178,13 +178,13 @@ def move_node(
 @ti.func
 def room_of(first, shift, w0, w1, w2, free: ti.template(), grid: ti.template()):
     """Tool-free volume fraction around a particle whose first node is `first`."""
-    w = ti.static([w0, w1, w2])
     room = 0.0
-    for p in ti.static(range(3)):
-        for q in ti.static(range(3)):
+    for p in range(3):  # a true loop: seldom run, and half a second of compilation if unrolled
+        wx = ti.select(p == 0, w0[0], ti.select(p == 1, w1[0], w2[0]))
+        for q in range(3):
             at = shift + first + (p * grid.shape[1] + q) * grid.shape[2]
             column = w0[2] * free[at] + w1[2] * free[at + 1] + w2[2] * free[at + 2]
-            room = room + (w[p][0] * w[q][1]) * column
+            room = room + wx * ti.select(q == 0, w0[1], ti.select(q == 1, w1[1], w2[1])) * column
     return room
 
 
