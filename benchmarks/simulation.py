@@ -134,7 +134,7 @@ def measure_ours(nodes: int, threads: int) -> dict[str, float]:
         spacing=SPACING,
         dx=DX,
         cfl=0.5,
-        density_cap=1.0,
+        density_cap=1.15,
         gravity=9.81,
         low=(-half, -half, 0.0),
         high=(half, half, 2 * half),

@@ -1,4 +1,7 @@
-"""Volume over whole scenes: what the material believes (det b) and what its particles fill."""
+"""Volume over whole scenes: what the material believes (det b) and what its particles fill.
+
+With a density cap of 1, which is not yet the simulator's default (`LOG.md`, second round).
+"""
 
 import numpy as np
 import pytest
