@@ -26,7 +26,7 @@ class MpmConfig:
     cfl: float = 0.5  # MLS-MPM is stable up to about 1; compressed dough carries faster waves
     settle: float = 0.1  # [s] under gravity before the first key frame
     jitter: float = 0.2  # of the spacing; a perfect lattice would break along its planes
-    density_cap: float = 1.15  # 1.0 keeps volume between wide fingers, but slices pinched rings
+    density_cap: float = 1.0  # the excess over 1 is volume that dough loses between wide fingers
     gravity: float = 9.81  # [m/s2]
     domain: float = 0.15  # [m], half side of the domain; the workspace ends at 0.1 m
     height: float = 0.12  # [m], top of the domain

@@ -20,7 +20,7 @@ class PullConfig:
     material: Material = field(default_factory=Material)
     cells: float = 1.5625  # dx / spacing: 2.0 sticks, 1.25 breaks thin necks
     cfl: float = 0.4  # as `MpmConfig.cfl`
-    density_cap: float = 1.15  # as `MpmConfig.density_cap`
+    density_cap: float = 1.15  # what the check's thresholds were found with
     arch: str = "auto"  # as `MpmConfig.arch`
 
 
