@@ -122,7 +122,7 @@ def sdf_sample(local, sdf: ti.template(), contact: ti.template()):
 
 @ti.func
 def sdf_distance(local, sdf: ti.template(), contact: ti.template()):
-    """The distance of `sdf_sample` alone: half the code to compile, where no gradient is needed."""
+    """The distance of `sdf_sample` alone: less to compile, where no gradient is needed."""
     u = (local - contact.sdf_origin) / contact.sdf_spacing
     low = Int3(0, 0, 0)
     for d in ti.static(range(3)):

@@ -179,7 +179,7 @@ def move_node(
 def room_of(first, shift, w0, w1, w2, free: ti.template(), grid: ti.template()):
     """Tool-free volume fraction around a particle whose first node is `first`."""
     room = 0.0
-    for p in range(3):  # a true loop: seldom run, and half a second of compilation if unrolled
+    for p in range(3):  # a true loop: seldom run, and less to compile
         wx = ti.select(p == 0, w0[0], ti.select(p == 1, w1[0], w2[0]))
         for q in range(3):
             at = shift + first + (p * grid.shape[1] + q) * grid.shape[2]
