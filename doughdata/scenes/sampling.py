@@ -51,10 +51,10 @@ def sample_action(
 
     Half of the final openings of blades and fingers lie within 0.5-1 mm (cuts), half between 2 mm
     and `opening` [m]: dough that is squeezed to 1.5 mm and more mostly holds together. A vise
-    leaves at least 5 mm: no gripper crushes all the dough to a film.
+    leaves at least 8 mm: under it dough, which cannot escape, would be compressed by some per cent.
     """
     if tool.width > VISE:
-        end = rng.uniform(0.005, opening)
+        end = rng.uniform(0.008, opening)
     elif rng.random() < 0.5:
         end = rng.uniform(0.0005, 0.001)
     else:

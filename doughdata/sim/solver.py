@@ -67,7 +67,7 @@ class Solver:
         pull: [m/s], velocity of handle 2.
         middle: [m], (x, y) that the grid is centred on: the gap of the first squeeze.
         arch: see `doughdata.sim._taichi.start`.
-        threads: of the CPU. Worth it for large clouds on idle cores alone.
+        threads: of the CPU. Worth it on idle cores alone, because threads wait awake.
     """
 
     def __init__(
@@ -155,19 +155,15 @@ class Solver:
         s, structs = state, (self._grid, self._dough, contact_of(self.physics, squeeze))
         seen = (colliders, free, touch, sdf, boxes, status, *structs)
         moved = (s.x, s.motion, s.b, s.handles, parts, nodes, *seen)
-        if self._threads == 1:
-            kernels.advance(steps, dt, *moved)
-            return status
-        clock = np.zeros(1, np.int32)
+        clock = np.zeros(3, np.int32)
         look = Bound(kernels.look, clock, dt, s.x, s.handles, *seen)
-        substep = Bound(kernels.substep, clock, dt, *moved)
-        for step in range(steps):
-            clock[0] = step
-            if step % kernels.EVERY == 0:
-                look()
-                if status.any():
-                    break
-            substep()
+        advance = Bound(kernels.advance, self._threads, clock, dt, *moved)
+        for first in range(0, steps, kernels.EVERY):
+            clock[:] = first, min(kernels.EVERY, steps - first), 0
+            look()
+            if status.any():
+                break
+            advance()
         return status
 
     def check(self, status: np.ndarray) -> None:

@@ -248,9 +248,11 @@ def test_nothing_enters_fingers_or_table(tool: str, yaw: float, tmp_path: Path) 
 @pytest.mark.parametrize("number", range(6))
 @pytest.mark.parametrize("family", [Rolls, Doughnut])
 def test_nothing_enters_the_fingers_of_sampled_scenes(family, number: int, tool: str) -> None:
-    """The same in scenes drawn from both families, with every tool."""
+    """The same in scenes drawn from both families, with every tool, set down clear of the dough."""
     scene = family().sample(seed=7, number=number, split="train")
-    inside, below = depths(replace(scene, tools=(PRESETS[tool],)), frames=75)
+    (action,) = scene.actions
+    scene = replace(scene, tools=(PRESETS[tool],), actions=(replace(action, opening_start=0.16),))
+    inside, below = depths(scene, frames=75)
     assert inside > -0.25 * DX
     assert below >= 0.0
 
