@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 
 from doughdata.scenes.sdf import SignedDistanceGrid
-from doughdata.sim import gpu_kernels, gpu_rows, kernels
+from doughdata.sim import gpu_kernels, gpu_rows
 from doughdata.sim._taichi import start, ti
+from doughdata.sim.kernels import EVERY
 from doughdata.sim.script import Stretch
 from doughdata.sim.solver import RETRIES, Solver, contact_of, grid_of
+from doughdata.sim.transfers import CFL_BROKEN
 from doughschemas import BadInputError, SimulationError
 
 __all__ = ["BatchSolver"]
@@ -92,7 +94,7 @@ class BatchSolver:
             again = [
                 k
                 for k, (status, _) in failed.items()
-                if status == kernels.CFL_BROKEN and (s := stretches[k]) is not None and not s.steps
+                if status == CFL_BROKEN and (s := stretches[k]) is not None and not s.steps
             ]
             if not again:
                 break
@@ -153,7 +155,7 @@ class BatchSolver:
         for n in range(int(left.max())):
             if n == 0:
                 self._look_first(left)
-            elif n % kernels.EVERY == 0:
+            elif n % EVERY == 0:
                 self._look(n)
             gpu_kernels.substep(
                 n, self._x, self._v, self._C, self._b, self._largest, self._cloud, self._numbers,
@@ -239,7 +241,7 @@ class BatchSolver:
                 getattr(cloud, name)[:] = values[a:b]
 
     def _error(self, k: int, status: int, detail: int) -> SimulationError:
-        if status == kernels.CFL_BROKEN:
+        if status == CFL_BROKEN:
             detail -= int(self._first[k])
         try:
             self.clouds[k].check(np.array([status, detail], np.int32))

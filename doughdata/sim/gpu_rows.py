@@ -12,8 +12,8 @@ from typing import Any
 
 from doughdata.sim._taichi import ti
 from doughdata.sim.contact import Contact, Grid, Int3
-from doughdata.sim.kernels import Dough
 from doughdata.sim.stress import Vec3
+from doughdata.sim.transfers import Dough
 
 __all__ = [
     "BLOCK",

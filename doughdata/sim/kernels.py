@@ -14,26 +14,18 @@ one past the last) node of each slice, of all particles, and of what fingers tak
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false
 
 from doughdata.sim._taichi import ti
+from doughdata.sim.arrays import Integers, Nodes, Scalars, Symmetrics
 from doughdata.sim.contact import (
     Contact,
     Grid,
     Int3,
     Vec4,
-    coulomb,
     find_fingers,
     find_touch,
-    finger_local,
-    finger_world,
-    sdf_sample,
 )
-from doughdata.sim.stress import Mat3, Sym, Vec3, hencky_return
 from doughdata.sim.transfers import (
     CFL_BROKEN,
-    LEAST_FREE,
-    LEAST_VOLUME,
     LEFT_DOMAIN,
-    LONGEST_MOVE,
-    LONGEST_PUSH,
     Dough,
     grid_to_particle,
     move_node,
@@ -42,38 +34,8 @@ from doughdata.sim.transfers import (
     weights,
 )
 
-__all__ = [
-    "ALL",
-    "CFL_BROKEN",
-    "EVERY",
-    "LEAST_FREE",
-    "LEAST_VOLUME",
-    "LEFT_DOMAIN",
-    "LONGEST_MOVE",
-    "LONGEST_PUSH",
-    "MARGIN",
-    "NEAR",
-    "SLICES",
-    "Contact",
-    "Dough",
-    "Grid",
-    "advance",
-    "coulomb",
-    "find_fingers",
-    "finger_local",
-    "finger_world",
-    "hencky_return",
-    "look",
-    "sdf_sample",
-    "weights",
-]
+__all__ = ["ALL", "EVERY", "MARGIN", "NEAR", "SLICES", "advance", "look"]
 
-Scalars = ti.types.ndarray(dtype=ti.f32, ndim=1)
-Integers = ti.types.ndarray(dtype=ti.i32, ndim=1)
-Vectors = ti.types.ndarray(dtype=Vec3, ndim=1)
-Matrices = ti.types.ndarray(dtype=Mat3, ndim=1)
-Symmetrics = ti.types.ndarray(dtype=Sym, ndim=1)
-Nodes = ti.types.ndarray(dtype=Vec4, ndim=1)
 
 SLICES = 4
 ALL = 6 * SLICES  # where the box of all particles begins in `boxes`

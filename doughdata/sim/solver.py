@@ -10,6 +10,7 @@ from doughdata.scenes.sdf import SignedDistanceGrid
 from doughdata.sim import contact, kernels
 from doughdata.sim._taichi import Bound, start
 from doughdata.sim.stress import Vec3
+from doughdata.sim.transfers import CFL_BROKEN, LEFT_DOMAIN, Dough
 from doughschemas import Material, SimulationError
 
 __all__ = ["RETRIES", "Physics", "Solver", "Squeeze", "contact_of", "grid_of"]
@@ -117,13 +118,13 @@ class Solver:
         start(self._arch, threads=self._threads)  # another solver may have asked for others
         state = _Rows(self, self._order)
         status = self._run(state, steps, seconds / steps, squeeze)
-        while tries and (status[::2] == kernels.CFL_BROKEN).any():
+        while tries and (status[::2] == CFL_BROKEN).any():
             tries, steps = tries - 1, 2 * steps
             state = _Rows(self, self._order)
             status = self._run(state, steps, seconds / steps, squeeze)
         state.store(self)
         for found in status.reshape(-1, 2):
-            if found[0] == kernels.CFL_BROKEN:
+            if found[0] == CFL_BROKEN:
                 found[1] = self._order[found[1]]
             self.check(found)
         return steps
@@ -173,12 +174,12 @@ class Solver:
             SimulationError: there is a reason.
         """
         low, high = self.physics.low, self.physics.high
-        if status[0] == kernels.LEFT_DOMAIN:
+        if status[0] == LEFT_DOMAIN:
             axis = "xyz"[status[1]]
             raise SimulationError(
                 f"dough left the domain along {axis} ({low[status[1]]:g}..{high[status[1]]:g} m)"
             )
-        if status[0] == kernels.CFL_BROKEN:
+        if status[0] == CFL_BROKEN:
             where = ", ".join(f"{value:.3f}" for value in self.x[status[1]])
             speed = float(np.linalg.norm(self.v[status[1]]))
             reason = "not a number" if np.isnan(speed) else f"{speed:.3g} m/s"
@@ -255,7 +256,7 @@ def grid_of(physics: Physics, middle: tuple[float, float] | None) -> Any:
 def _dough(physics: Physics, pull: tuple[float, float, float], *, driven: bool) -> Any:
     m = physics.material
     shear = m.young_modulus / (2 * (1 + m.poisson_ratio))
-    return kernels.Dough(
+    return Dough(
         shear=shear,
         bulk=m.young_modulus / (3 * (1 - 2 * m.poisson_ratio)),
         yield_strain=float(np.sqrt(2 / 3)) * m.yield_stress / (2 * shear),

@@ -6,17 +6,13 @@ import pytest
 from doughdata.scenes import PRESETS, finger_poses
 from doughdata.scenes.sdf import SignedDistanceGrid, finger_sdf
 from doughdata.sim import contact as rigid
-from doughdata.sim import kernels
 from doughdata.sim._taichi import start, ti
+from doughdata.sim.arrays import Integers, Nodes, Scalars, Vectors
+from doughdata.sim.stress import Mat3, Vec3
+from doughdata.sim.transfers import weights
 from doughschemas import Action, Tool
 
 start("cpu")
-Vectors, Nodes, Scalars, Integers = (
-    kernels.Vectors,
-    kernels.Nodes,
-    kernels.Scalars,
-    kernels.Integers,
-)
 YAW, GAP, OPENING = 0.6, (0.012, -0.007), 0.031
 
 
@@ -43,10 +39,10 @@ def run_coulomb(v: Vectors, wall: Vectors, normal: Vectors, after: Vectors, fric
 
 @ti.kernel
 def run_weights(
-    p: Vectors, base: Vectors, w: ti.types.ndarray(dtype=kernels.Mat3, ndim=1), grid: rigid.Grid
+    p: Vectors, base: Vectors, w: ti.types.ndarray(dtype=Mat3, ndim=1), grid: rigid.Grid
 ):
     for i in range(p.shape[0]):
-        b, _, w0, w1, w2 = kernels.weights(p[i], grid)
+        b, _, w0, w1, w2 = weights(p[i], grid)
         base[i] = ti.cast(b, ti.f32)
         for d in ti.static(range(3)):
             w[i][0, d] = w0[d]
@@ -68,14 +64,14 @@ def contact_of(sdf: SignedDistanceGrid) -> rigid.Contact:
     """Fingers at the pose of this module."""
     return rigid.Contact(
         fingers=2,
-        gap=kernels.Vec3(*GAP, 0.0),
-        axis=kernels.Vec3(np.cos(YAW), np.sin(YAW), 0.0),
+        gap=Vec3(*GAP, 0.0),
+        axis=Vec3(np.cos(YAW), np.sin(YAW), 0.0),
         opening=OPENING,
         rate=0.0,
         friction=0.3,
         table_friction=0.5,
         band=0.0015,
-        sdf_origin=kernels.Vec3(*sdf.origin),
+        sdf_origin=Vec3(*sdf.origin),
         sdf_spacing=sdf.spacing,
         sdf_shape=rigid.Int3(*sdf.values.shape),
     )
@@ -141,7 +137,7 @@ def test_weights() -> None:
     """B-spline weights sum to one and reproduce a particle's position (no first-order error)."""
     dx, origin = 0.003125, np.array([-0.1, -0.1, -0.05])
     grid = rigid.Grid(
-        origin=kernels.Vec3(*origin), dx=dx, inverse=1 / dx, shape=rigid.Int3(64, 64, 64), table=-1
+        origin=Vec3(*origin), dx=dx, inverse=1 / dx, shape=rigid.Int3(64, 64, 64), table=-1
     )
     points = random_points(-0.04, 0.04, seed=5)
     base, w = np.zeros_like(points), np.zeros((len(points), 3, 3), np.float32)
@@ -159,7 +155,7 @@ def test_occupied_volume_is_that_of_the_fingers(name: str) -> None:
     shape = (56, 56, 32)
     origin = np.array([GAP[0], GAP[1], 0.0]) - dx * np.array([28, 28, 6])
     grid = rigid.Grid(
-        origin=kernels.Vec3(*origin), dx=dx, inverse=1 / dx, shape=rigid.Int3(*shape), table=-1
+        origin=Vec3(*origin), dx=dx, inverse=1 / dx, shape=rigid.Int3(*shape), table=-1
     )
     total = int(np.prod(shape))
     colliders, free = np.zeros((2 * total, 4), np.float32), np.zeros(2 * total, np.float32)
@@ -174,7 +170,7 @@ def test_node_distances_are_those_of_the_fingers() -> None:
     sdf, dx, shape = finger_sdf(tool), 0.003125, (40, 40, 24)
     origin = np.array([GAP[0], GAP[1], 0.0]) - dx * np.array([20, 20, 6])
     grid = rigid.Grid(
-        origin=kernels.Vec3(*origin), dx=dx, inverse=1 / dx, shape=rigid.Int3(*shape), table=-1
+        origin=Vec3(*origin), dx=dx, inverse=1 / dx, shape=rigid.Int3(*shape), table=-1
     )
     total = int(np.prod(shape))
     colliders, free = np.zeros((2 * total, 4), np.float32), np.zeros(2 * total, np.float32)
