@@ -60,6 +60,7 @@ def render(
     sensors: Mapping[str, Sensor],
     executor: Executor,
     *,
+    retry_failed: bool = False,
     listener: Listener | None = None,
 ) -> Summary:
     """Render depth of every meshed scene: each ideal image once, one layer a sensor.
@@ -85,6 +86,7 @@ def render(
             records,
             writer.shards(),
             executor,
+            retry_failed=retry_failed,
             listener=listener or Silent(),
             summary=Summary(dataset=uri),
         )

@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 
-from doughdata.dataset import CommitRecord, DatasetWriter, Shard, StageRecord, Task
+from doughdata.dataset import DatasetWriter, Shard, StageRecord, Task
 from doughdata.executors import WorkerCrash
 from doughdata.requests import Listener, Summary
-from doughdata.shard_tasks import ShardWork
+from doughdata.shard_tasks import Done, ShardWork, finish
 from doughdata.stages import Executor
 
 __all__ = ["over_shards"]
@@ -43,11 +43,12 @@ def over_shards(
         counts[layer].kept = total - open_scenes
         listener.start(layer, total=total, done=total - open_scenes)
     for result in executor.map(work, list(todo.values())):
-        commits = (
+        finished = (
             _settled(work.writer, result, records) if isinstance(result, WorkerCrash) else result
         )
-        for commit in commits:
-            counts[commit.layer].add(commit)
+        for done in finished:
+            commit = done.commit
+            counts[commit.layer].add(done)
             listener.advance(commit.layer, len(commit.scenes) + len(commit.failed))
     for layer, count in counts.items():
         summary = summary.with_layer(layer, made=count.made, kept=count.kept, failed=count.failed)
@@ -61,19 +62,25 @@ class _Count:
         self.made, self.kept = 0, 0
         self.failed: dict[int, str] = {}
 
-    def add(self, commit: CommitRecord) -> None:
-        self.made += len(commit.scenes)
-        self.failed.update(commit.failed)
+    def add(self, done: Done) -> None:
+        self.made += len(done.commit.scenes) - done.reused
+        self.kept += done.reused
+        self.failed.update(done.commit.failed)
 
 
 def _settled(
     writer: DatasetWriter, crash: WorkerCrash, records: Mapping[str, StageRecord]
-) -> list[CommitRecord]:
-    """Commit that every scene of a crashed shard failed, so that the run goes on."""
+) -> list[Done]:
+    """Commit that every scene of a crashed shard failed, save those that were good before."""
     tasks: Mapping[str, Task] = crash.item
-    return [
-        writer.write(
-            task, {}, stage=records[layer], failed=dict.fromkeys(task.scenes, crash.reason)
-        )
-        for layer, task in tasks.items()
-    ]
+    finished = []
+    for layer, task in tasks.items():
+        earlier = writer.earlier(task, records[layer])
+        before = earlier.commit
+        if before is not None and earlier.fresh and before.scenes:  # a retry: keep what was good
+            finished.append(Done(commit=before, reused=len(before.scenes)))
+            continue
+        failed = {i: crash.reason for i in task.scenes if i not in earlier.records}
+        results = {"made": {}, "failed": failed}
+        finished.append(finish(writer, task, records[layer], earlier=earlier, **results))
+    return finished

@@ -5,7 +5,15 @@ from dataclasses import asdict, dataclass, is_dataclass
 from typing import Any, Protocol
 
 from doughdata import registry
-from doughdata.dataset import CommitRecord, Dataset, DatasetWriter, StageRecord, Task, open_dataset
+from doughdata.dataset import (
+    CommitRecord,
+    Dataset,
+    DatasetWriter,
+    Earlier,
+    StageRecord,
+    Task,
+    open_dataset,
+)
 from doughdata.render.depth import DepthStage
 from doughdata.scene_work import (
     check_scene,
@@ -17,7 +25,45 @@ from doughdata.scene_work import (
 from doughdata.stages import BatchSimulator, Sensor
 from doughschemas import DatasetError, MissingPackageError, Scene
 
-__all__ = ["RenderShard", "ShardStage", "ShardWork", "config_of", "stage_record"]
+__all__ = [
+    "Done",
+    "RenderShard",
+    "ShardStage",
+    "ShardWork",
+    "config_of",
+    "finish",
+    "stage_record",
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Done:
+    """What became of one task."""
+
+    commit: CommitRecord
+    reused: int  # scenes whose record an earlier revision held already
+
+
+def finish(
+    writer: DatasetWriter,
+    task: Task,
+    stage: StageRecord,
+    *,
+    earlier: Earlier,
+    made: Mapping[int, Any],
+    failed: Mapping[int, str],
+    scenes: Mapping[int, Scene] | None = None,
+) -> Done:
+    """Commit what was made and what an earlier revision held.
+
+    Where a retry made nothing new, that revision stays, so that no later layer becomes stale.
+    """
+    kept = {index: record for index, record in earlier.records.items() if index not in made}
+    before = earlier.commit
+    if before is not None and earlier.fresh and not made and set(kept) == set(before.scenes):
+        return Done(commit=before, reused=len(kept))
+    commit = writer.write(task, {**kept, **made}, stage=stage, failed=failed, scenes=scenes)
+    return Done(commit=commit, reused=len(kept))
 
 
 def stage_record(kind: str, stage: Any, **extra: Any) -> StageRecord:
@@ -44,7 +90,7 @@ class ShardWork(Protocol):
         """The dataset that is written."""
         ...
 
-    def __call__(self, tasks: Mapping[str, Task]) -> list[CommitRecord]:
+    def __call__(self, tasks: Mapping[str, Task]) -> list[Done]:
         """Work and commit."""
         ...
 
@@ -58,15 +104,17 @@ class ShardStage:
     stage: Any
     record: StageRecord
 
-    def __call__(self, tasks: Mapping[str, Task]) -> list[CommitRecord]:
+    def __call__(self, tasks: Mapping[str, Task]) -> list[Done]:
         """Work on the task of this layer and commit it."""
         task = tasks[self.layer]
+        earlier = self.writer.earlier(task, self.record)
         scenes = self.writer.scenes(task)
+        todo = {index: scene for index, scene in scenes.items() if index not in earlier.records}
         dataset = None if self.layer == "sim" else open_dataset(self.writer.uri)
         records: dict[int, Any] = {}
         failed: dict[int, str] = {}
-        together = self._together(scenes)
-        for index, scene in scenes.items():
+        together = self._together(todo)
+        for index, scene in todo.items():
             try:
                 if isinstance(error := together.get(index), Exception):
                     raise error
@@ -75,7 +123,8 @@ class ShardStage:
                 raise  # not the scene's fault
             except Exception as error:  # whatever a plug-in does, the other scenes go on
                 failed[index] = reason(error)
-        return [self.writer.write(task, records, stage=self.record, failed=failed, scenes=scenes)]
+        results = {"made": records, "failed": failed, "scenes": scenes}
+        return [finish(self.writer, task, self.record, earlier=earlier, **results)]
 
     def _together(self, scenes: Mapping[int, Scene]) -> Mapping[int, Any]:
         """What a simulator made of all scenes at once, if it is one that does so."""
@@ -100,14 +149,21 @@ class RenderShard:
     sensors: Mapping[str, Sensor]
     records: Mapping[str, StageRecord]  # layer -> what makes it
 
-    def __call__(self, tasks: Mapping[str, Task]) -> list[CommitRecord]:
+    def __call__(self, tasks: Mapping[str, Task]) -> list[Done]:
         """Work on the tasks of one shard, one a sensor, and commit each."""
         some = next(iter(tasks.values()))
-        wanted = {name: s for name, s in self.sensors.items() if f"depth.{name}" in tasks}
+        earlier = {k: self.writer.earlier(task, self.records[k]) for k, task in tasks.items()}
         dataset = open_dataset(self.writer.uri)
         views: dict[str, dict[int, Any]] = {layer: {} for layer in tasks}
         failed: dict[int, str] = {}
         for index, scene in self.writer.scenes(some).items():
+            wanted = {
+                name: sensor
+                for name, sensor in self.sensors.items()
+                if (layer := f"depth.{name}") in tasks and index not in earlier[layer].records
+            }
+            if not wanted:
+                continue
             try:
                 seen = render_scene(self.stage, wanted, scene, dataset, index)
             except (MissingPackageError, DatasetError):
@@ -118,7 +174,14 @@ class RenderShard:
             for name, record in seen.items():
                 views[f"depth.{name}"][index] = record
         return [
-            self.writer.write(task, views[layer], stage=self.records[layer], failed=failed)
+            finish(
+                self.writer,
+                task,
+                self.records[layer],
+                earlier=earlier[layer],
+                made=views[layer],
+                failed={i: why for i, why in failed.items() if i not in earlier[layer].records},
+            )
             for layer, task in tasks.items()
         ]
 

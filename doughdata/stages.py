@@ -5,7 +5,7 @@ entry points (`doughdata.registry`). Nothing here depends on how a stage does it
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -16,6 +16,7 @@ from doughschemas import (
     ComponentMeshes,
     DoughError,
     FrameTopology,
+    Material,
     Particles,
     Scene,
     Topology,
@@ -100,6 +101,7 @@ class PullProblem:
     distance: float  # [m], travelled by each handle
     speed: float  # [m/s], of each handle
     spacing: float  # [m], of the particles at rest
+    material: Material = field(default_factory=Material)
 
 
 @runtime_checkable

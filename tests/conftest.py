@@ -7,6 +7,8 @@ from jaxtyping import install_import_hook
 SHAPES = (
     *("scenes", "topology", "mesh", "render", "geometry", "dataset", "torch"),
     "exporters",
+    *(f"recordings.{name}" for name in ("cloud", "colour", "compressed_depth", "dough", "images")),
+    *(f"recordings.{name}" for name in ("pairing", "rvl", "spooling", "table", "workspace")),
     *("sim.mpm", "sim.pull", "sim.solver", "sim.batch", "sim.script", "sim.scene_run"),
 )
 install_import_hook([f"doughdata.{name}" for name in SHAPES], "beartype.beartype")

@@ -10,14 +10,20 @@ from typing import Any
 import typer
 
 from doughcli import (
+    card,
+    convert,
     export,
+    gc,
     generate,
     info,
+    merge,
     plugins,
     render,
     reproduce,
     scenes,
+    split,
     stats,
+    subset,
     validate,
     view,
 )
@@ -53,7 +59,12 @@ def _interruptible(command: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
-for module in (generate, render, validate, reproduce, info, stats, view, export, plugins):
+COMMANDS = (
+    *(generate, render, convert, validate, reproduce, info, stats, view, export, plugins),
+    *(merge, subset, split, card),
+    gc,
+)
+for module in COMMANDS:
     app.command(module.NAME, help=module.HELP, epilog=module.EPILOG)(_interruptible(module.command))
 app.add_typer(scenes.app, name="scenes")
 

@@ -105,7 +105,14 @@ def command(
         )
         if sensors:
             summary = summary.joined(
-                pipeline.render(dataset, DepthStage(), sensors, work, listener=bars)
+                pipeline.render(
+                    dataset,
+                    DepthStage(),
+                    sensors,
+                    work,
+                    retry_failed=retry_failed,
+                    listener=bars,
+                )
             )
     report(summary, as_json=as_json)
 

@@ -19,7 +19,7 @@ DatasetOption = Annotated[
 DATASET_DEFAULT = "./dough-dataset"
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 ExecutorOption = Annotated[
-    str, typer.Option("--executor", metavar="NAME", help="Where to work: serial or processes.")
+    str, typer.Option("--executor", metavar="NAME", help="Where to work: serial, processes or ray.")
 ]
 WorkersOption = Annotated[
     int | None,

@@ -40,6 +40,9 @@ def command(
     ] = False,
     executor: ExecutorOption = "processes",
     workers: WorkersOption = None,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Try scenes again that failed before.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Render; what is committed already is kept."""
@@ -59,5 +62,7 @@ def command(
         config = replace(config, frames=None)
     work = build_executor(executor, workers, items=len(open_dataset(dataset)))
     with StageBars() as bars:
-        summary = pipeline.render(dataset, DepthStage(config), sensors, work, listener=bars)
+        summary = pipeline.render(
+            dataset, DepthStage(config), sensors, work, retry_failed=retry_failed, listener=bars
+        )
     report(summary, as_json=as_json)

@@ -1,72 +1,72 @@
-"""`doughdata stats`: which topologies a dataset ends with, and where the static check differs."""
+"""`doughdata stats`: which topologies a dataset ends with, and ranges of its features."""
 
-from collections import Counter, defaultdict
-from typing import Any
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import typer
 
 from doughcli.options import DATASET_DEFAULT, DatasetOption, JsonOption, emit_json
 
 __all__ = ["command"]
 
 NAME = "stats"
-HELP = "Count final topologies, events and ambiguous frames per family; compare the static check."
-EPILOG = "Example: [cyan]doughdata stats --json[/]"
+HELP = (
+    "Count final topologies, events and ambiguous frames per family; compare the static check; "
+    "give ranges of features."
+)
+EPILOG = (
+    "Examples: [cyan]doughdata stats --json[/]  |  "
+    "[cyan]doughdata stats --arrays[/] (reads everything, keeps it in meta/stats.json)"
+)
 
 
-def command(dataset: DatasetOption = DATASET_DEFAULT, as_json: JsonOption = False) -> None:
-    """Print the counts."""
-    from doughdata import open_dataset
+def command(
+    dataset: DatasetOption = DATASET_DEFAULT,
+    arrays: Annotated[
+        bool,
+        typer.Option(
+            "--arrays", help="Measure particles and depth, too, and write meta/stats.json."
+        ),
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Print the counts and ranges."""
+    from doughdata.dataset.measure import dataset_statistics, measure_arrays
+    from doughdata.dataset.store import store_of
+    from doughdata.dataset.tables import refresh_tables
 
-    found = {"dataset": dataset, "families": topology_stats(open_dataset(dataset))}
+    if arrays:
+        refresh_tables(store_of(dataset), arrays=measure_arrays(dataset))
+    found = {"dataset": dataset, **dataset_statistics(dataset)}
     if as_json:
         emit_json(found)
         return
+    print_sizes(found["sizes"])
     for family, stats in found["families"].items():
-        print(f"{family}: {stats['scenes']} scenes, {stats['changed']} change topology")
-        for name, count in stats["final"].items():
-            print(f"    ends as {name}: {count}")
-        print(f"    events: {', '.join(f'{k} {n}' for k, n in stats['events'].items()) or 'none'}")
-        print(f"    ambiguous frames: {stats['ambiguous']:.1%}")
-        print(f"    frames where the static check differs: {stats['static_differs']:.1%}")
+        print_family(family, stats)
+    for name, feature in found["features"].items():
+        mean = ", ".join(f"{value:.4g}" for value in feature["mean"])
+        low, high = min(feature["min"]), max(feature["max"])
+        print(f"{name}: {low:.4g} to {high:.4g}, mean {mean}, of {feature['count'][0]}")
 
 
-def topology_stats(dataset: Any) -> dict[str, dict[str, Any]]:
-    """Per family: scenes, how they end, events, shares of ambiguous and of differing frames."""
-    family = dict(
-        zip(
-            dataset.scenes["scene_index"].to_pylist(),
-            dataset.scenes["family"].to_pylist(),
-            strict=True,
-        )
+def print_sizes(sizes: Mapping[str, Any]) -> None:
+    """One line of totals."""
+    views = "".join(f", {count} views of {layer}" for layer, count in sizes["views"].items())
+    failed = f", {sizes['failed']} failures" if sizes["failed"] else ""
+    print(f"{sizes['scenes']} scenes, {sizes['frames']} key frames{views}{failed}")
+
+
+def print_family(family: str, stats: Mapping[str, Any]) -> None:
+    """How scenes of a family end, what happens in them, and how sure that is."""
+    print(f"{family}: {stats['scenes']} scenes, {stats['changed']} change topology")
+    for name, count in stats["final"].items():
+        print(f"    ends as {name}: {count} ({stats['final_share'][name]:.1%})")
+    print(f"    events: {', '.join(f'{k} {n}' for k, n in stats['events'].items()) or 'none'}")
+    print(
+        f"    ambiguous frames: {stats['ambiguous']:.1%}, final ones {stats['ambiguous_final']:.1%}"
     )
-    frames: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for row in dataset.frames.to_pylist():
-        if row["num_components"] is not None:
-            frames[family[row["scene_index"]]].append(row)
-    events: dict[str, Counter[str]] = defaultdict(Counter)
-    for event in dataset.table("topology_events").to_pylist():
-        events[family[event["scene_index"]]][event["kind"]] += 1
-    return {name: _family(rows, events[name]) for name, rows in sorted(frames.items())}
-
-
-def _family(rows: list[dict[str, Any]], events: Counter[str]) -> dict[str, Any]:
-    scenes: dict[int, list[dict[str, Any]]] = defaultdict(list)
-    for row in rows:
-        scenes[row["scene_index"]].append(row)
-    first = {i: min(r, key=lambda row: row["frame_index"]) for i, r in scenes.items()}
-    last = {i: max(r, key=lambda row: row["frame_index"]) for i, r in scenes.items()}
-    final = Counter(_name(row) for row in last.values())
-    differs = sum(_name(row) != _name(row, "static_") for row in rows)
-    return {
-        "scenes": len(scenes),
-        "changed": sum(_name(first[i]) != _name(last[i]) for i in scenes),
-        "final": dict(final.most_common()),
-        "events": dict(events.most_common()),
-        "ambiguous": sum(bool(row["ambiguous"]) for row in rows) / len(rows),
-        "static_differs": differs / len(rows),
-    }
-
-
-def _name(row: dict[str, Any], prefix: str = "") -> str:
-    """`c=2 g=0,1`: components, and the genus of each, sorted."""
-    genus = sorted(row[f"{prefix}genus"] or [])
-    return f"c={row[f'{prefix}num_components']} g={','.join(map(str, genus))}"
+    print(
+        f"    frames where the static check differs: {stats['static_differs']:.1%}, "
+        f"final ones {stats['static_differs_final']:.1%}"
+    )

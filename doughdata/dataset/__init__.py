@@ -10,14 +10,16 @@ from doughdata.dataset.info import DatasetSettings, default_scenes_per_shard
 from doughdata.dataset.plan import PlanRecord, Shard
 from doughdata.dataset.reader import Dataset, open_dataset
 from doughdata.dataset.report import Problem, Report
+from doughdata.dataset.tasks import Earlier, Task
 from doughdata.dataset.validate import validate
-from doughdata.dataset.writer import DatasetWriter, Task, open_writer
+from doughdata.dataset.writer import DatasetWriter, open_writer
 
 __all__ = [
     "CommitRecord",
     "Dataset",
     "DatasetSettings",
     "DatasetWriter",
+    "Earlier",
     "Frame",
     "FrameParticles",
     "FrameTools",

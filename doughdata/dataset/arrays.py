@@ -1,11 +1,10 @@
 """Arrays in plain Zarr v3: one shard per array, one chunk per row, crc32c behind every chunk.
 
-Reading goes straight to the standard bytes (shard index, one `pread`, crc32c, blosc); an array that
-was written in another legal way is read by zarr-python instead.
+Reading goes straight to the standard bytes (shard index, one read of a range, crc32c, blosc); an
+array that was written in another legal way is read by zarr-python instead.
 """
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,9 +15,11 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import UInt64
 
+from doughdata.dataset.spool import SpooledArray
+from doughdata.dataset.store import LocalStore, Store
 from doughschemas import SCHEMA_VERSION, DamagedDatasetError
 
-__all__ = ["ArraySpec", "ShardedArray", "padded_length", "write_arrays"]
+__all__ = ["ArraySpec", "ShardedArray", "encode_arrays", "padded_length", "spooled_files"]
 
 MISSING_CHUNK = 2**64 - 1  # offset and size of a chunk that was not written (Zarr sharding codec)
 INDEX_CODECS = ["bytes", "crc32c"]
@@ -42,20 +43,24 @@ def padded_length(length: int) -> int:
     return max(8, ceil(length / 8) * 8)
 
 
-def write_arrays(
-    folder: Path, arrays: Mapping[str, ArraySpec], *, attributes: Mapping[str, Any]
-) -> None:
-    """Write a Zarr v3 group with one shard per array.
+def encode_arrays(
+    arrays: Mapping[str, ArraySpec | SpooledArray], *, attributes: Mapping[str, Any]
+) -> dict[str, bytes]:
+    """The files (name -> content) of a Zarr v3 group with one shard per array.
 
-    Raises:
-        OSError: the disk is full or read-only.
+    Of a spooled array only the metadata: its shard is a file already, see `spooled_files`.
     """
     import zarr
     from zarr.codecs import BloscCodec, Crc32cCodec
+    from zarr.storage import MemoryStore
 
+    files: dict[str, Any] = {}
     attributes = {"schema_version": SCHEMA_VERSION, **attributes}
-    group = zarr.create_group(store=folder, zarr_format=3, attributes=attributes)
+    group = zarr.create_group(store=MemoryStore(files), zarr_format=3, attributes=attributes)
     for name, spec in arrays.items():
+        if isinstance(spec, SpooledArray):
+            _declare(group, name, spec)
+            continue
         chunk = (1 if spec.by_row else len(spec.data), *spec.data.shape[1:])
         group.create_array(
             name,
@@ -68,32 +73,69 @@ def write_arrays(
             attributes=dict(spec.attributes),
             config={"write_empty_chunks": True},  # so that every byte lies under a checksum
         )
+    return {name: data.to_bytes() for name, data in sorted(files.items())}
+
+
+def spooled_files(arrays: Mapping[str, ArraySpec | SpooledArray]) -> dict[str, Path]:
+    """The shards of spooled arrays: name in the group -> file on this machine."""
+    return {
+        "/".join([name, "c", *["0"] * len(spec.shape)]): spec.file
+        for name, spec in arrays.items()
+        if isinstance(spec, SpooledArray)
+    }
+
+
+def _declare(group: Any, name: str, spec: SpooledArray) -> None:
+    """The metadata of an array whose shard is there already."""
+    from zarr.codecs import BloscCodec, Crc32cCodec
+
+    group.create_array(
+        name,
+        shape=spec.shape,
+        dtype=spec.dtype,
+        chunks=(1, *spec.shape[1:]),
+        shards=spec.shape,
+        compressors=[BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()],
+        fill_value=spec.fill,
+        dimension_names=spec.axes,
+        attributes=dict(spec.attributes),
+    )
 
 
 class ShardedArray:
-    """Read-only array on disk. Holds no open file, so it survives fork and pickling."""
+    """Read-only array. Holds no open file or connection, so it survives fork and pickling.
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    `folder` is relative to the store, or a folder on this machine if no store is given.
+    """
+
+    def __init__(self, folder: str | Path, *, store: Store | None = None) -> None:
+        self._store = LocalStore("/") if store is None else store
+        self.folder = str(Path(folder).absolute())[1:] if store is None else str(folder)
         try:
-            meta = json.loads((folder / "zarr.json").read_bytes())
+            meta = json.loads(self._store.read(f"{self.folder}/zarr.json"))
             self.shape: tuple[int, ...] = tuple(meta["shape"])
             self.dtype = np.dtype(meta["data_type"])
             self.attributes: dict[str, Any] = meta["attributes"]
             self.axes: tuple[str, ...] = tuple(meta.get("dimension_names") or ())
             self.chunk = _simple_chunk(meta, self.shape)
-        except (OSError, KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             raise DamagedDatasetError(f"{folder}/zarr.json cannot be read: {error}") from error
+        self._data = "/".join([self.folder, "c", *["0"] * len(self.shape)])
 
-    @cached_property
+    @property
     def file(self) -> Path:
-        """The one file that holds the data."""
-        return self.folder.joinpath("c", *["0"] * len(self.shape))
+        """The one file that holds the data of an array on this machine."""
+        return self._store.local(self._data)
 
     @property
     def num_chunks(self) -> int:
         """Chunks along the row axis."""
         return ceil(self.shape[0] / self.chunk[0]) if self.chunk else 0
+
+    @property
+    def nbytes(self) -> int:
+        """Memory [bytes] of what was read and is kept: the index, and arrays of small numbers."""
+        return sum(self.__dict__[k].nbytes for k in ("index", "_whole") if k in self.__dict__)
 
     def row(self, row: int) -> np.ndarray:
         """One row.
@@ -135,24 +177,22 @@ class ShardedArray:
         if offset == MISSING_CHUNK:
             return np.full(self.chunk, self._fill, self.dtype)
         try:
-            return _decode(_verified(self._pread(offset, size)), self.dtype, self.chunk)
+            data = self._store.read_range(self._data, offset, offset + size)
+            return _decode(_verified(data), self.dtype, self.chunk)
         except (RuntimeError, ValueError) as error:
-            raise DamagedDatasetError(f"{self.file}: chunk {number} {error}") from error
+            raise DamagedDatasetError(f"{self._data}: chunk {number} {error}") from error
 
     @cached_property
     def index(self) -> UInt64[np.ndarray, "chunks 2"]:
         """Byte offset and size of every chunk, from the end of the shard."""
         size = self.num_chunks * 16 + 4
+        data = self._store.read_range(self._data, -size)
+        if len(data) < size:
+            raise DamagedDatasetError(f"{self._data} is too short for its shard index")
         try:
-            total = self.file.stat().st_size
-        except OSError as error:
-            raise DamagedDatasetError(f"{self.file} is missing") from error
-        if total < size:
-            raise DamagedDatasetError(f"{self.file} is too short for its shard index")
-        try:
-            data = _verified(self._pread(total - size, size))
+            data = _verified(data)
         except ValueError as error:
-            raise DamagedDatasetError(f"{self.file}: shard index {error}") from error
+            raise DamagedDatasetError(f"{self._data}: shard index {error}") from error
         return np.frombuffer(data, "<u8").reshape(-1, 2).astype(np.uint64)
 
     @cached_property
@@ -161,29 +201,20 @@ class ShardedArray:
         return self.read_chunk(0)
 
     @cached_property
-    def _path(self) -> str:
-        return str(self.file)
-
-    @cached_property
     def _plain(self) -> Any:
         import zarr
 
-        return zarr.open_array(self.folder, mode="r")
+        if isinstance(self._store, LocalStore):
+            return zarr.open_array(self._store.local(self.folder), mode="r")
+        from doughdata.dataset.remote import RemoteStore
+
+        assert isinstance(self._store, RemoteStore)
+        return zarr.open_array(self._store.url(self.folder), mode="r")
 
     @cached_property
     def _fill(self) -> int | float:
-        value = json.loads((self.folder / "zarr.json").read_bytes())["fill_value"]
+        value = json.loads(self._store.read(f"{self.folder}/zarr.json"))["fill_value"]
         return float(value) if isinstance(value, str) else value
-
-    def _pread(self, offset: int, size: int) -> bytes:
-        try:
-            handle = os.open(self._path, os.O_RDONLY)
-            try:
-                return os.pread(handle, size, offset)
-            finally:
-                os.close(handle)
-        except OSError as error:
-            raise DamagedDatasetError(f"{self.file}: {error.strerror}") from error
 
 
 def _simple_chunk(meta: Mapping[str, Any], shape: tuple[int, ...]) -> tuple[int, ...] | None:

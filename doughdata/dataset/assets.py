@@ -23,8 +23,8 @@ def store_meshes(store: Store, scene: Scene) -> Scene:
 
 
 def resolve_path(store: Store, path: str) -> str:
-    """Where a mesh that a scene names lies on this machine."""
-    return str(store.local(path)) if path.startswith((TOOLS, BODIES)) else path
+    """Where a mesh that a scene names lies on this machine; a remote one is downloaded."""
+    return str(store.fetch(path)) if path.startswith((TOOLS, BODIES)) else path
 
 
 def store_family(store: Store, source: str) -> str:

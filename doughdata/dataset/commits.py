@@ -10,12 +10,13 @@ from doughdata.dataset.store import Store
 from doughschemas import SCHEMA_VERSION, DamagedDatasetError
 
 __all__ = [
+    "RECORDED",
     "UPSTREAM",
     "CommitLog",
     "CommitRecord",
     "StageRecord",
+    "all_revisions",
     "list_layers",
-    "newest_revisions",
     "read_commit",
     "upstream_of",
 ]
@@ -27,10 +28,12 @@ UPSTREAM = {  # layer -> layers that its stage reads
     "depth": ("sim", "mesh"),
 }
 
+RECORDED = "depth.recorded"  # of a real camera: made from nothing that the dataset holds
+
 
 def upstream_of(layer: str) -> tuple[str, ...]:
     """Layers that a layer is made from; `depth.<sensor>` counts as `depth`."""
-    return UPSTREAM[layer.partition(".")[0]]
+    return () if layer == RECORDED else UPSTREAM[layer.partition(".")[0]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,14 +109,14 @@ def read_commit(store: Store, layer: str, shard: str, revision: int) -> CommitRe
         raise DamagedDatasetError(f"{store.uri}: {name}: not a commit record ({error})") from error
 
 
-def newest_revisions(store: Store, layer: str) -> dict[str, int]:
-    """Shard -> highest committed revision of a layer."""
-    newest: dict[str, int] = {}
+def all_revisions(store: Store, layer: str) -> dict[str, list[int]]:
+    """Shard -> committed revisions of a layer, rising."""
+    found: dict[str, list[int]] = {}
     for name in store.names(f"meta/commits/{layer}"):
         shard, revision, suffix = [*name.split("."), "", ""][:3]
         if suffix == "json" and revision.isdigit():
-            newest[shard] = max(newest.get(shard, -1), int(revision))
-    return newest
+            found.setdefault(shard, []).append(int(revision))
+    return {shard: sorted(revisions) for shard, revisions in found.items()}
 
 
 def list_layers(store: Store) -> list[str]:
@@ -128,7 +131,10 @@ class CommitLog:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._newest = {layer: newest_revisions(store, layer) for layer in list_layers(store)}
+        self._newest = {
+            layer: {shard: found[-1] for shard, found in all_revisions(store, layer).items()}
+            for layer in list_layers(store)
+        }
         self._records: dict[tuple[str, str], CommitRecord] = {}
 
     @property

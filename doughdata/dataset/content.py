@@ -6,10 +6,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from doughdata.dataset.commits import CommitRecord
+from doughdata.dataset.commits import RECORDED, CommitRecord
+from doughdata.dataset.content_recorded import recorded_problems
+from doughdata.dataset.content_sim import pose_problems, sim_problems
+from doughdata.dataset.duplicates import leaking_groups
 from doughdata.dataset.graphs import component_count, mesh_genus, mesh_volume, mesh_watertight
 from doughdata.dataset.layers import decode_label_grid, decode_meshes, decode_topology
-from doughdata.dataset.layers.columns import vectors_array
 from doughdata.dataset.report import Problem
 from doughdata.dataset.shards import LayerShard, ShardRows
 from doughdata.dataset.store import Store
@@ -28,7 +30,7 @@ from doughschemas import (
 __all__ = ["ContentCheck"]
 
 VOLUME_TOLERANCE = 0.05  # of a scene's final meshes against its labelled particles
-UNIT_TOLERANCE = 1e-6  # of a quaternion's length
+GENUS_AGREEMENT = 0.99  # share of the frames that a check is sure of
 Problems = Iterator[Problem]
 
 
@@ -36,11 +38,12 @@ class ContentCheck:
     """Checks shard after shard and adds up the figures."""
 
     def __init__(self, store: Store, *, num_frames: int) -> None:
-        self._root = store.local("")
+        self._store = store
         self.num_frames = num_frames
         self._frames = self._ambiguous = self._meshed = self._agree = 0
         self._sure = self._sure_agree = 0
         self._volume_error = self._final_volume_error = 0.0
+        self._disagree: list[tuple[int, int]] = []  # sure frames whose mesh has another genus
 
     def figures(self) -> dict[str, Any]:
         """Totals over all shards checked so far; shares are None where nothing was counted."""
@@ -52,10 +55,28 @@ class ContentCheck:
             "volume_error_max_final_frame": self._final_volume_error,
         }
 
+    def dataset(self, scenes: pa.Table | None) -> Problems:
+        """Problems that no shard shows by itself; to be asked when all shards were checked.
+
+        `scenes` is the table of that name, None if it cannot be built.
+        """
+        if _share(self._sure_agree, self._sure) is not None and (
+            self._sure_agree < GENUS_AGREEMENT * self._sure
+        ):
+            message = (
+                f"meshes have another genus than their labels in {len(self._disagree)} of "
+                f"{self._sure} key frames that the topology check is sure of"
+            )
+            yield Problem(file="data/mesh", message=message, frames=tuple(self._disagree))
+        for group in leaking_groups([] if scenes is None else [scenes]):
+            listed = ", ".join(f"{name} ({split})" for name, split in sorted(group.items()))
+            message = f"near-duplicate scenes lie in different splits: {listed}"
+            yield Problem(file="meta/scenes.parquet", message=message)
+
     def shard(self, commits: Mapping[str, CommitRecord], rows: ShardRows) -> Problems:
         """Problems of all layers of one shard. A layer that cannot be decoded gives one."""
         opened = {
-            layer: LayerShard(self._root, commit, rows)
+            layer: LayerShard(self._store, commit, rows)
             for layer, commit in commits.items()
             if commit.path is not None
         }
@@ -63,45 +84,28 @@ class ContentCheck:
             try:
                 yield from self._decodes(shard)
                 if layer == "sim":
-                    yield from self._sim(shard)
+                    yield from sim_problems(shard)
                 elif layer == "topology":
                     yield from self._topology(shard, opened["sim"])
                 elif layer == "mesh":
                     yield from self._mesh(shard, opened)
                 else:
                     yield from self._depth(shard)
+                    if layer == RECORDED:
+                        yield from recorded_problems(shard)
             except (DoughError, LookupError, ValueError, pa.ArrowException) as error:
                 yield Problem(file=str(shard.commit.path), message=_one_line(error))
 
     def _decodes(self, shard: LayerShard) -> Problems:
         """Every chunk of every array; the tables are read by the checks of their layers."""
-        for name in sorted(p.name for p in (shard.folder / "arrays.zarr").iterdir() if p.is_dir()):
+        for name in shard.array_names:
             array = shard.array(name)
             for chunk in range(array.num_chunks):
                 array.read_chunk(chunk)
-        for path in sorted(shard.folder.glob("*.parquet")):
-            if shard.table(path.stem).table.schema.metadata is None:
-                yield Problem(file=f"{shard.commit.path}/{path.name}", message="no schema_version")
-
-    def _sim(self, shard: LayerShard) -> Problems:
-        file = str(shard.commit.path)
-        counts = shard.array("num_particles").all()
-        for index in shard.commit.scenes:
-            start = shard.rows.start(index)
-            wrong = []
-            for frame in range(self.num_frames):
-                count = counts[start + frame]
-                if count != counts[start] or not _finite(
-                    shard.array("positions").row(start + frame)[:count]
-                ):
-                    wrong.append((index, frame))
-            if wrong:
-                message = "particle positions must be finite and as many in every frame"
-                yield Problem(file=file, message=message, frames=tuple(wrong))
-            times = shard.table("frames").scene(index)["timestamp"].to_numpy()
-            if not _finite(times) or np.any(np.diff(times) <= 0):
-                yield Problem(file=file, message=f"scene {index}: timestamps must rise")
-        yield from _poses(shard.table("tool_poses").table, f"{file}/tool_poses.parquet")
+        for name in shard.table_names:
+            if shard.table(name).table.schema.metadata is None:
+                file = f"{shard.commit.path}/{name}.parquet"
+                yield Problem(file=file, message="no schema_version")
 
     def _topology(self, shard: LayerShard, sim: LayerShard) -> Problems:
         counts = sim.array("num_particles").all()
@@ -142,7 +146,8 @@ class ContentCheck:
                 for message in faults:
                     wrong.setdefault(message, []).append((index, k))
                 if not faults:
-                    self._count_genus([mesh_genus(m.faces) for m in meshes], genus[k], ambiguous[k])
+                    agree = [mesh_genus(mesh.faces) for mesh in meshes] == genus[k]
+                    self._count_genus(agree, ambiguous[k], at=(index, k))
             for message, hit in wrong.items():
                 yield Problem(file=file, message=message, frames=tuple(hit))
 
@@ -164,7 +169,7 @@ class ContentCheck:
         sizes = {(row["height"], row["width"]) for row in views.to_pylist()}
         if sizes - {depth.shape[1:]}:
             yield Problem(file=file, message="the cameras' size is not the images' size")
-        yield from _poses(views, f"{file}/views.parquet")
+        yield from pose_problems(views, f"{file}/views.parquet")
 
     def _volume(
         self,
@@ -187,13 +192,14 @@ class ContentCheck:
             self._final_volume_error = max(self._final_volume_error, error)
         return error
 
-    def _count_genus(self, meshes: list[int], labels: list[int], ambiguous: bool) -> None:
-        agree = meshes == labels
+    def _count_genus(self, agree: bool, ambiguous: bool, *, at: tuple[int, int]) -> None:
         self._meshed += 1
         self._agree += agree
         if not ambiguous:
             self._sure += 1
             self._sure_agree += agree
+            if not agree:
+                self._disagree.append(at)
 
 
 def _topology_faults(frame: FrameTopology, count: int) -> Iterator[str]:
@@ -235,19 +241,6 @@ def _mesh_faults(meshes: tuple[ComponentMesh, ...], count: int) -> Iterator[str]
             yield "a mesh is not watertight"
         elif mesh_volume(mesh.vertices, mesh.faces) <= 0:
             yield "a mesh is turned inside out"
-
-
-def _poses(table: pa.Table, file: str) -> Problems:
-    """Positions finite, quaternions unit."""
-    position = vectors_array(table["position"], 3, np.float64)
-    quaternion = vectors_array(table["quaternion"], 4, np.float64)
-    length = np.linalg.norm(quaternion, axis=1)
-    bad = ~np.isfinite(position).all(axis=1) | ~(np.abs(length - 1) < UNIT_TOLERANCE)
-    if bad.any():
-        keys = [table[name].to_numpy()[bad].tolist() for name in ("scene_index", "frame_index")]
-        hit = tuple(sorted(set(zip(*keys, strict=True))))
-        message = "poses must be finite, with unit quaternions"
-        yield Problem(file=file, message=message, frames=hit)
 
 
 def _finite(values: np.ndarray) -> bool:

@@ -23,7 +23,7 @@ def damaged_frames(store: Store, commit: CommitRecord, name: str) -> tuple[tuple
     if len(parts) < 4 or parts[0] != ARRAYS or parts[2] != "c":
         return ()
     try:
-        array = ShardedArray(store.local(f"{commit.path}/{ARRAYS}/{parts[1]}"))
+        array = ShardedArray(f"{commit.path}/{ARRAYS}/{parts[1]}", store=store)
         rows = [row for row in range(array.num_chunks) if _is_damaged(array, row)]
         if array.chunk is None or (array.chunk[0] > 1):
             return ()
@@ -43,12 +43,12 @@ def _is_damaged(array: ShardedArray, row: int) -> bool:
 
 def _frames_of(store: Store, commit: CommitRecord, rows: list[int]) -> tuple[tuple[int, int], ...]:
     if commit.layer.startswith("depth."):
-        shard = LayerShard(store.local(""), commit, ShardRows(scenes=(), num_frames=1))
+        shard = LayerShard(store, commit, ShardRows(scenes=(), num_frames=1))
         views = shard.table("views").table
         scene, frame = (views[c].to_numpy() for c in ("scene_index", "frame_index"))
         return tuple((int(scene[row]), int(frame[row])) for row in rows)
     scenes = commit.scenes if commit.layer == "sim" else _sim_scenes(store, commit)
-    total = ShardedArray(store.local(f"{commit.path}/{ARRAYS}/{_any_array(commit)}")).shape[0]
+    total = ShardedArray(f"{commit.path}/{ARRAYS}/{_any_array(commit)}", store=store).shape[0]
     frames = total // len(scenes)
     return tuple((scenes[row // frames], row % frames) for row in np.array(rows, int).tolist())
 

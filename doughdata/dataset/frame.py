@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
+from doughdata.dataset.commits import RECORDED
 from doughdata.dataset.layers import (
+    decode_color,
     decode_depth,
     decode_events,
     decode_frame_topology,
@@ -63,8 +65,9 @@ class Frame:
 
     @cached_property
     def timestamp(self) -> float:
-        """Seconds since the start of the first action."""
-        sim = self._dataset.layer("sim", self.scene_index)
+        """Seconds since the start of the first action; of a recording, since its first frame."""
+        base = self._dataset.base_layer(self.scene_index)
+        sim = self._dataset.layer(base, self.scene_index)
         return sim.table("frames").frame(*self._key)["timestamp"][0].as_py()
 
     @cached_property
@@ -131,6 +134,14 @@ class Frame:
                 f"has no depth view; make it with `doughdata render --noise {sensor} --all-frames`"
             )
         return views
+
+    def color(self) -> UInt8[np.ndarray, "views rows columns 3"] | None:
+        """RGB images of a recording's views; None if it had no colour.
+
+        Raises:
+            MissingLayerError: the scene was simulated, not recorded.
+        """
+        return decode_color(self._dataset.layer(RECORDED, self.scene_index), *self._key)
 
     @property
     def _key(self) -> tuple[int, int]:

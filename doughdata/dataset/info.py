@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from doughdata.dataset.commits import StageRecord
+from doughdata.dataset.commits import RECORDED, StageRecord
 from doughdata.dataset.documents import dump_document, load_document, plain_json
 from doughdata.dataset.store import Store
 from doughschemas import SCHEMA_VERSION, DatasetError
@@ -36,6 +36,7 @@ FEATURES = {
         "segments": ("uint8", [None, None], ["y", "x"]),
     },
 }
+RECORDED_FEATURES = {"color": ("uint8", [None, None, 3], ["y", "x", "rgb"])}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,8 +97,14 @@ def features_of(layers: Mapping[str, Any]) -> dict[str, Any]:
     return {
         f"{layer}/{name}": {"dtype": dtype, "shape": shape, "names": names}
         for layer in layers
-        for name, (dtype, shape, names) in FEATURES[layer.partition(".")[0]].items()
+        for name, (dtype, shape, names) in features_of_layer(layer).items()
     }
+
+
+def features_of_layer(layer: str) -> Mapping[str, tuple[str, list, list]]:
+    """Array -> dtype, shape, names of a layer; a recording may have no colour all the same."""
+    features = FEATURES[layer.partition(".")[0]]
+    return {**features, **RECORDED_FEATURES} if layer == RECORDED else features
 
 
 def check_settings(uri: str, info: Mapping[str, Any], settings: DatasetSettings) -> None:
@@ -132,7 +139,7 @@ def refuse(uri: str, name: str, old: Any, new: Any) -> None:
 
 def refuse_strangers(store: Store) -> None:
     """Raise DatasetError if the folder holds something that is not the start of a dataset."""
-    if store.exists("") and not store.local("").is_dir():
+    if store.is_file(""):
         raise DatasetError(f"{store.uri} is a file; a dataset is a folder")
     strangers = [name for name in store.names("") if name != "meta"]
     strangers += [f"meta/{name}" for name in store.names("meta")]

@@ -17,7 +17,7 @@ from typing import Any
 import pyarrow as pa
 
 from doughdata.dataset.assets import resolve_path
-from doughdata.dataset.commits import CommitLog, CommitRecord
+from doughdata.dataset.commits import RECORDED, CommitLog, CommitRecord
 from doughdata.dataset.frame import Frame
 from doughdata.dataset.info import read_info
 from doughdata.dataset.layers import (
@@ -44,7 +44,8 @@ from doughschemas import (
 
 __all__ = ["Dataset", "open_dataset"]
 
-OPEN_SHARDS = 32  # committed layers whose indices and tables are kept in memory
+OPEN_BYTES = 2**28  # of tables and indices of committed layers that a process keeps in memory
+OPEN_LEAST = 32  # layers that are kept whatever their size; their sizes are added up as often
 
 
 @dataclass(slots=True)
@@ -141,7 +142,7 @@ class Dataset:
             raise BadInputError(f"no table {name!r} (there are: {', '.join(TABLES)})")
         here, path = self._here, f"meta/{name}.parquet"
         if name not in here.tables and self._store.exists(path):
-            here.tables[name] = read_table(self._store.local(path))
+            here.tables[name] = read_table(self._store, path)
         if name not in here.tables:
             here.tables = build_tables(self._store, here.log, num_frames=self.num_frames)
         return here.tables[name]
@@ -165,8 +166,23 @@ class Dataset:
         """
         if not 0 <= frame < self.num_frames:
             raise BadInputError(f"key frame must be 0..{self.num_frames - 1}, got {frame}")
-        self.layer("sim", scene)
+        base = self.base_layer(scene)
+        if base == RECORDED and frame >= len(self.layer(base, scene).table("frames").scene(scene)):
+            raise BadInputError(f"{self.uri}: recording {scene} has no key frame {frame}")
         return Frame(self, scene, frame)
+
+    def base_layer(self, scene_index: int) -> str:
+        """The layer that a scene begins with: `sim`, or `depth.recorded` of a recording.
+
+        Raises:
+            BadInputError: the dataset has no such scene.
+            MissingLayerError: the scene has not been simulated.
+        """
+        shard = self._shard_of(scene_index)
+        if self._here.log.newest(RECORDED, shard) is not None:
+            return RECORDED
+        self.layer("sim", scene_index)
+        return "sim"
 
     def read_particles(self, scene_index: int) -> Particles:
         """All key frames of a scene's `sim` layer."""
@@ -201,6 +217,11 @@ class Dataset:
         """
         shard = self._shard_of(scene_index)
         here = self._here
+        if layer != RECORDED and here.log.newest(RECORDED, shard) is not None:
+            raise MissingLayerError(
+                f"{self.uri}: scene {scene_index} was recorded by a real camera: it has the layer "
+                f"{RECORDED!r} alone, not {layer!r}"
+            )
         if shard not in here.fresh:
             here.fresh[shard] = here.log.fresh(shard)
         commits = here.fresh[shard]
@@ -215,7 +236,7 @@ class Dataset:
                 f"{self.uri}: scene {scene_index} failed in layer {layer!r} ({reason}); try again "
                 f"with `{command_for(layer)} --retry-failed --dataset {self.uri}`"
             )
-        return self._open(commits[layer], commits["sim"])
+        return self._open(commits[layer], commits.get("sim") or commits[layer])
 
     @property
     def _here(self) -> _Opened:
@@ -240,16 +261,26 @@ class Dataset:
         shards, key = self._here.shards, (commit.layer, commit.shard)
         if key not in shards:
             rows = ShardRows(scenes=sim.scenes, num_frames=self.num_frames)
-            shards[key] = LayerShard(self._store.local(""), commit, rows)
-            if len(shards) > OPEN_SHARDS:
-                shards.popitem(last=False)
+            shards[key] = LayerShard(self._store, commit, rows)
+            if len(shards) % OPEN_LEAST == 0:
+                _forget_oldest(shards)
         shards.move_to_end(key)
         return shards[key]
+
+
+def _forget_oldest(shards: OrderedDict[tuple[str, str], LayerShard]) -> None:
+    """Drop what was not used for longest, until the rest is small enough."""
+    total = sum(shard.nbytes for shard in shards.values())
+    while total > OPEN_BYTES and len(shards) > OPEN_LEAST:
+        _, oldest = shards.popitem(last=False)
+        total -= oldest.nbytes
 
 
 def command_for(layer: str) -> str:
     """The command that makes a layer."""
     stages = {"sim": "simulate", "topology": "topology", "mesh": "mesh"}
+    if layer == RECORDED:
+        return "doughdata convert RECORDING"
     if layer in stages:
         return f"doughdata generate --stages {stages[layer]}"
     return f"doughdata render --noise {layer.partition('.')[2]}"

@@ -1,8 +1,8 @@
 """One committed layer of one shard: its rows, arrays and tables."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
+from io import BytesIO
 
 import numpy as np
 import pyarrow as pa
@@ -10,11 +10,14 @@ import pyarrow.parquet as pq
 
 from doughdata.dataset.arrays import ArraySpec, ShardedArray
 from doughdata.dataset.commits import CommitRecord
+from doughdata.dataset.spool import SpooledArray
+from doughdata.dataset.store import Store
 from doughschemas import SCHEMA_VERSION, DamagedDatasetError
 
-__all__ = ["Encoded", "LayerShard", "ShardRows", "TableIndex", "read_table", "write_table"]
+__all__ = ["Encoded", "LayerShard", "ShardRows", "TableIndex", "encode_table", "read_table"]
 
 ARRAYS = "arrays.zarr"
+THREADS_FROM = 2**24  # [bytes]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,27 +41,32 @@ class ShardRows:
 class Encoded:
     """What a layer writes into an attempt folder."""
 
-    arrays: dict[str, ArraySpec]
+    arrays: Mapping[str, ArraySpec | SpooledArray]
     tables: dict[str, pa.Table]
 
 
-def write_table(path: Path, table: pa.Table) -> None:
-    """Write Parquet: zstd, page checksums, `schema_version` in the footer."""
+def encode_table(table: pa.Table) -> bytes:
+    """A Parquet file: zstd, page checksums, `schema_version` in the footer."""
     table = table.replace_schema_metadata({"schema_version": SCHEMA_VERSION})
-    pq.write_table(table, path, compression="zstd", write_page_checksum=True)
+    buffer = BytesIO()
+    pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
+    return buffer.getvalue()
 
 
-def read_table(path: Path) -> pa.Table:
+def read_table(store: Store, path: str) -> pa.Table:
     """Read Parquet, its page checksums verified.
 
     Raises:
         DamagedDatasetError: missing or damaged.
     """
+    data = store.read(path)
     try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            return file.read()
+        with pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True) as file:
+            # Tables of a shard are small: starting threads costs more than it gains, and a command
+            # that ends while Arrow still starts them is aborted.
+            return file.read(use_threads=len(data) > THREADS_FROM)
     except (OSError, ValueError, pa.ArrowException) as error:  # damage shows in many ways
-        raise DamagedDatasetError(f"{path} cannot be read: {error}") from error
+        raise DamagedDatasetError(f"{store.uri}: {path} cannot be read: {error}") from error
 
 
 class TableIndex:
@@ -88,25 +96,39 @@ class TableIndex:
 class LayerShard:
     """Reads one committed attempt; arrays and tables are opened when asked for."""
 
-    def __init__(self, root: Path, commit: CommitRecord, rows: ShardRows) -> None:
-        self.root, self.commit, self.rows = root, commit, rows
+    def __init__(self, store: Store, commit: CommitRecord, rows: ShardRows) -> None:
+        self._store, self.commit, self.rows = store, commit, rows
         self._arrays: dict[str, ShardedArray] = {}
         self._tables: dict[str, TableIndex] = {}
 
-    @cached_property
-    def folder(self) -> Path:
-        """The attempt folder."""
-        return self.root / (self.commit.path or "")
+    @property
+    def nbytes(self) -> int:
+        """Memory [bytes] of the tables and small arrays that were read so far."""
+        tables = sum(index.table.nbytes for index in self._tables.values())
+        return tables + sum(array.nbytes for array in self._arrays.values())
+
+    @property
+    def array_names(self) -> list[str]:
+        """Arrays that the commit names, sorted."""
+        paths = (name.split("/") for name in self.commit.files)
+        return sorted({path[1] for path in paths if path[0] == ARRAYS and len(path) > 2})
+
+    @property
+    def table_names(self) -> list[str]:
+        """Tables that the commit names, sorted, without suffix."""
+        files = (name for name in self.commit.files if name.endswith(".parquet"))
+        return sorted(name.removesuffix(".parquet") for name in files)
 
     def array(self, name: str) -> ShardedArray:
         """An array of the layer."""
         if name not in self._arrays:
-            self._arrays[name] = ShardedArray(self.folder / ARRAYS / name)
+            path = f"{self.commit.path}/{ARRAYS}/{name}"
+            self._arrays[name] = ShardedArray(path, store=self._store)
         return self._arrays[name]
 
     def table(self, name: str) -> TableIndex:
         """A table of the layer, by file name without suffix."""
         if name not in self._tables:
-            table = read_table(self.folder / f"{name}.parquet")
+            table = read_table(self._store, f"{self.commit.path}/{name}.parquet")
             self._tables[name] = TableIndex(table, num_frames=self.rows.num_frames)
         return self._tables[name]

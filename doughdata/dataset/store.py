@@ -1,11 +1,14 @@
-"""Where a dataset lies: a folder, behind the few operations that the commit protocol needs."""
+"""Where a dataset lies, behind the few operations that the commit protocol needs; a folder is one.
+
+`doughdata.dataset.remote` is the other: an object store.
+"""
 
 import errno
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from hashlib import sha256
+from io import FileIO
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 from uuid import uuid4
@@ -14,7 +17,7 @@ from doughschemas import DamagedDatasetError, DatasetError
 
 __all__ = ["LocalStore", "Store", "explain_os_errors", "store_of"]
 
-TEMPORARY = ".tmp-"  # prefix of files that are not published yet
+TEMPORARY = ".tmp-"  # prefix of what is not published yet, or is being removed
 HINTS = {
     errno.ENOSPC: "free some space and run the same command again, nothing finished is lost",
     errno.EDQUOT: "free some space and run the same command again, nothing finished is lost",
@@ -28,7 +31,10 @@ HINTS = {
 
 @runtime_checkable
 class Store(Protocol):
-    """Files below one root; paths are relative and use `/`."""
+    """Files below one root; paths are relative and use `/`. Picklable, safe after fork and spawn.
+
+    Every method raises DatasetError, in one line, when the store cannot be reached or refuses.
+    """
 
     @property
     def uri(self) -> str:
@@ -43,8 +49,19 @@ class Store(Protocol):
         """
         ...
 
+    def read_range(self, path: str, start: int, stop: int | None = None) -> bytes:
+        """Bytes start..stop-1, fewer at the file's end; a negative start counts from the end.
+
+        Raises as `read` does.
+        """
+        ...
+
     def exists(self, path: str) -> bool:
         """Whether a file or folder is there."""
+        ...
+
+    def is_file(self, path: str) -> bool:
+        """Whether a file, and not a folder, is there."""
         ...
 
     def names(self, folder: str) -> list[str]:
@@ -55,16 +72,38 @@ class Store(Protocol):
         """Sorted paths, relative to `folder`, of all files in it and below."""
         ...
 
+    def modified(self, path: str) -> float:
+        """When the newest file at or below a path was written [s since 1970], 0 if none is."""
+        ...
+
     def create(self, path: str, data: bytes) -> bool:
-        """Publish a file unless it exists; atomic and durable. False = it existed."""
+        """Publish a file unless it exists; atomic and durable. False = it existed.
+
+        After a lost connection False may mean that this very call had made it: compare contents.
+        """
         ...
 
     def replace(self, path: str, data: bytes) -> None:
         """Write or overwrite a file; readers see the old or the new one, never a part."""
         ...
 
+    def write_folder(self, folder: str, files: Mapping[str, bytes | Path]) -> None:
+        """Write a new folder of files: name relative to it -> content, or a local file of it.
+
+        Durable on return. A failure leaves nothing; a crash leaves files that no commit names.
+        """
+        ...
+
+    def remove(self, path: str) -> None:
+        """Delete a file or a folder with all that is in it; nothing happens if it is missing."""
+        ...
+
     def local(self, path: str) -> Path:
-        """Path on this machine."""
+        """Where a file is, or would be after `fetch`, on this machine."""
+        ...
+
+    def fetch(self, path: str) -> Path:
+        """`local`, the file being there on return: a remote one is downloaded once."""
         ...
 
 
@@ -74,6 +113,7 @@ class LocalStore:
     def __init__(self, uri: str | Path) -> None:
         self._uri = str(uri)
         self._root = Path(self._uri.removeprefix("file://")).absolute()
+        self._prefix = f"{self._root}/"
 
     @property
     def uri(self) -> str:
@@ -82,18 +122,28 @@ class LocalStore:
 
     def read(self, path: str) -> bytes:
         """Whole file; see `Store.read`."""
-        try:
-            return self.local(path).read_bytes()
-        except FileNotFoundError as error:
-            raise DamagedDatasetError(f"{self._uri}: {path} is missing") from error
-        except OSError as error:
-            raise DamagedDatasetError(
-                f"{self._uri}: cannot read {path}: {error.strerror}"
-            ) from error
+        with self._explain_reading(path), FileIO(self._prefix + path) as file:
+            return file.readall()
+
+    def read_range(self, path: str, start: int, stop: int | None = None) -> bytes:
+        """A part of a file; see `Store.read_range`. Holds nothing open."""
+        with self._explain_reading(path):
+            handle = os.open(self._prefix + path, os.O_RDONLY)
+            try:
+                if start < 0 or stop is None:
+                    size = os.fstat(handle).st_size
+                    start, stop = max(0, start + size) if start < 0 else start, stop or size
+                return os.pread(handle, stop - start, start)
+            finally:
+                os.close(handle)
 
     def exists(self, path: str) -> bool:
         """Whether a file or folder is there."""
         return self.local(path).exists()
+
+    def is_file(self, path: str) -> bool:
+        """Whether a file, and not a folder, is there."""
+        return self.local(path).is_file()
 
     def names(self, folder: str) -> list[str]:
         """Sorted names directly in a folder; unpublished files are left out."""
@@ -110,6 +160,17 @@ class LocalStore:
             path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()
         )
 
+    def modified(self, path: str) -> float:
+        """When the newest file or folder at or below a path was written [s since 1970]."""
+        root = self.local(path)
+        times = []
+        for place in (root, *root.rglob("*")):
+            try:
+                times.append(place.stat().st_mtime)
+            except FileNotFoundError:  # another process removed it meanwhile
+                continue
+        return max(times, default=0.0)
+
     def create(self, path: str, data: bytes) -> bool:
         """Publish a file unless it exists: a hard link to a finished file never replaces."""
         target = self.local(path)
@@ -118,7 +179,7 @@ class LocalStore:
                 os.link(temporary, target)
             except FileExistsError:
                 return False
-        sync_folder(target.parent)
+            _sync(target.parent)
         return True
 
     def replace(self, path: str, data: bytes) -> None:
@@ -126,11 +187,61 @@ class LocalStore:
         target = self.local(path)
         with explain_os_errors(self._uri, f"write {path}"), _temporary(target, data) as temporary:
             temporary.replace(target)
-            sync_folder(target.parent)
+            _sync(target.parent)
+
+    def write_folder(self, folder: str, files: Mapping[str, bytes | Path]) -> None:
+        """Write a new folder and flush its files, then all folders; a failure removes it."""
+        root = self.local(folder)
+        with explain_os_errors(self._uri, f"write {folder}"):
+            root.mkdir(parents=True)
+            try:
+                for name, data in files.items():
+                    path = root / name
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    _write_flushed(path, data)
+                for place in (*(p for p in root.rglob("*") if p.is_dir()), root, root.parent):
+                    _sync(place)
+            except BaseException:
+                shutil.rmtree(root, ignore_errors=True)
+                raise
+
+    def remove(self, path: str) -> None:
+        """Delete; a folder is renamed first, so that a crash leaves no part under its name."""
+        target = self.local(path)
+        with explain_os_errors(self._uri, f"remove {path}"):
+            if not target.is_dir():
+                target.unlink(missing_ok=True)
+                return
+            doomed = target
+            if not target.name.startswith(TEMPORARY):
+                doomed = target.rename(target.parent / f"{TEMPORARY}{uuid4().hex}")
+            shutil.rmtree(doomed)
 
     def local(self, path: str) -> Path:
         """Path on this machine."""
         return self._root / path if path else self._root
+
+    def fetch(self, path: str) -> Path:
+        """Path on this machine."""
+        return self.local(path)
+
+    def temporaries(self, folder: str) -> list[str]:
+        """Paths of what crashes left unpublished below a folder."""
+        return sorted(
+            path.relative_to(self._root).as_posix()
+            for path in self.local(folder).rglob(f"{TEMPORARY}*")
+        )
+
+    @contextmanager
+    def _explain_reading(self, path: str) -> Iterator[None]:
+        try:
+            yield
+        except (FileNotFoundError, NotADirectoryError) as error:
+            raise DamagedDatasetError(f"{self._uri}: {path} is missing") from error
+        except OSError as error:
+            raise DamagedDatasetError(
+                f"{self._uri}: cannot read {path}: {error.strerror}"
+            ) from error
 
 
 def store_of(uri: "str | Path | Store") -> Store:
@@ -138,16 +249,21 @@ def store_of(uri: "str | Path | Store") -> Store:
 
     Raises:
         DatasetError: a URI that this release cannot reach; the message names what works.
+        MissingPackageError: the URI needs a package that is not installed.
     """
     if not isinstance(uri, str | Path):
         return uri
     scheme, separator, _ = str(uri).partition("://")
-    if separator and scheme != "file":
+    if not separator or scheme == "file":
+        return LocalStore(uri)
+    from doughdata.dataset.remote import SCHEMES, RemoteStore
+
+    if scheme not in SCHEMES:
         raise DatasetError(
-            f"{uri}: {scheme}:// is not supported by this release; give a local folder "
-            "(or mount the bucket and give its folder)"
+            f"{uri}: {scheme}:// is not supported; give a local folder or one of "
+            f"{', '.join(f'{name}://' for name in SCHEMES)}"
         )
-    return LocalStore(uri)
+    return RemoteStore(str(uri))
 
 
 @contextmanager
@@ -163,33 +279,18 @@ def explain_os_errors(uri: str, doing: str) -> Iterator[None]:
         ) from error
 
 
-@contextmanager
-def attempt_folder(folder: Path) -> Iterator[Path]:
-    """A new folder that is removed again when what fills it fails."""
-    folder.mkdir(parents=True)
-    try:
-        yield folder
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
+def _write_flushed(path: Path, data: bytes | Path) -> None:
+    with path.open("wb") as file:
+        if isinstance(data, Path):  # too large for memory
+            with data.open("rb") as source:
+                shutil.copyfileobj(source, file, 1 << 20)
+        else:
+            file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
 
 
-def sync_tree(folder: Path) -> dict[str, str]:
-    """Flush all files below a folder to the disk; returns name -> sha256, sorted by name."""
-    hashes = {}
-    for path in sorted(folder.rglob("*")):
-        if path.is_dir():
-            sync_folder(path)
-            continue
-        with path.open("rb") as file:
-            hashes[path.relative_to(folder).as_posix()] = sha256(file.read()).hexdigest()
-            os.fsync(file.fileno())
-    sync_folder(folder)
-    sync_folder(folder.parent)
-    return hashes
-
-
-def sync_folder(folder: Path) -> None:
+def _sync(folder: Path) -> None:
     """Flush a folder's own entries."""
     handle = os.open(folder, os.O_RDONLY)
     try:
@@ -203,10 +304,7 @@ def _temporary(target: Path, data: bytes) -> Iterator[Path]:
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.parent / f"{TEMPORARY}{uuid4().hex}"
     try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
+        _write_flushed(temporary, data)
         yield temporary
     finally:
         temporary.unlink(missing_ok=True)

@@ -4,16 +4,15 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
-from io import BytesIO
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from doughdata.dataset.commits import CommitLog, CommitRecord
+from doughdata.dataset.commits import RECORDED, CommitLog, CommitRecord
+from doughdata.dataset.describe import Features, describe
 from doughdata.dataset.info import features_of, read_info, write_info
-from doughdata.dataset.shards import read_table
+from doughdata.dataset.shards import encode_table, read_table
 from doughdata.dataset.store import Store
 from doughschemas import SCHEMA_VERSION, DamagedDatasetError
 
@@ -115,11 +114,18 @@ class _Shard:
         commit = self.commits.get(layer)
         if commit is None or commit.path is None:
             return None
-        return read_table(self.store.local(f"{commit.path}/{name}.parquet"))
+        return read_table(self.store, f"{commit.path}/{name}.parquet")
 
 
-def refresh_tables(store: Store) -> dict[str, Any]:
-    """Rebuild all tables and the totals in info.json; returns the new info.
+def refresh_tables(
+    store: Store,
+    *,
+    arrays: Features | None = None,
+    license_name: str | None = None,
+) -> dict[str, Any]:
+    """Rebuild all tables, what describes them, and the totals in info.json; returns the info.
+
+    `arrays` and `license_name` as for `describe`.
 
     Raises:
         DamagedDatasetError: a commit record or a table of an attempt is damaged.
@@ -129,11 +135,12 @@ def refresh_tables(store: Store) -> dict[str, Any]:
     tables = build_tables(store, log, num_frames=info["num_frames"])
     hashes = {}
     for name, table in tables.items():
-        buffer = BytesIO()
-        pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
-        hashes[name] = sha256(buffer.getvalue()).hexdigest()
-        store.replace(f"meta/{name}.parquet", buffer.getvalue())
+        data = encode_table(table)
+        hashes[name] = sha256(data).hexdigest()
+        store.replace(f"meta/{name}.parquet", data)
     info = build_info(info, log, tables, hashes)
+    documents = describe(store, info, tables, arrays=arrays, license_name=license_name)
+    info = {**info, "documents": documents}
     write_info(store, info)
     return info
 
@@ -162,9 +169,14 @@ def build_info(
     """The info with totals, splits, features, stages and fingerprint brought up to date."""
     commits = [commit for shard in log.shards for commit in log.fresh(shard).values()]
     stages = {commit.layer: commit.stage.to_json() for commit in commits}
-    counts = Counter(tables["scenes"]["split"].to_pylist())
+    scenes = tables["scenes"]
+    counts, lengths = Counter(scenes["split"].to_pylist()), Counter()
+    for split, length in zip(
+        scenes["split"].to_pylist(), scenes["num_frames"].to_pylist(), strict=True
+    ):
+        lengths[split] += length
     splits = {
-        split: {"scenes": count, "frames": count * info["num_frames"]}
+        split: {"scenes": count, "frames": lengths[split]}
         for split, count in sorted(counts.items())
     }
     return {
@@ -194,9 +206,10 @@ def fingerprint_of(log: CommitLog) -> str:
 
 def _add_shard(parts: Parts, shard: _Shard) -> None:
     """Append the rows of one shard to every table."""
-    scenes = shard.table("sim", "scenes")
-    frames = shard.table("sim", "frames")
-    poses = shard.table("sim", "tool_poses")
+    base = "sim" if "sim" in shard.commits else RECORDED
+    scenes = shard.table(base, "scenes")
+    frames = shard.table(base, "frames")
+    poses = shard.table(base, "tool_poses")
     if scenes is None or frames is None or poses is None:
         return
     timestamps = _timestamps(frames, shard.num_frames)
@@ -227,9 +240,9 @@ def _add_shard(parts: Parts, shard: _Shard) -> None:
 def _timestamps(
     frames: pa.Table, num_frames: int
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    scenes = frames["scene_index"].to_numpy()[::num_frames]
-    times = frames["timestamp"].to_numpy().reshape(-1, num_frames)
-    return lambda scene, frame: times[np.searchsorted(scenes, scene), frame]
+    # A recording may have fewer key frames than the dataset's scenes.
+    keys, times = _keys(frames, num_frames), frames["timestamp"].to_numpy()
+    return lambda scene, frame: times[np.searchsorted(keys, scene * num_frames + frame)]
 
 
 def _with_index(table: pa.Table, timestamps: Times, num_frames: int) -> pa.Table:

@@ -6,9 +6,13 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from doughdata.dataset.commits import CommitLog, CommitRecord, list_layers, read_commit
+import pyarrow as pa
+
+from doughdata.dataset.assets import BODIES, TOOLS
+from doughdata.dataset.commits import RECORDED, CommitLog, CommitRecord, list_layers, read_commit
 from doughdata.dataset.content import ContentCheck
 from doughdata.dataset.damage import damaged_frames
+from doughdata.dataset.describe import check_documents
 from doughdata.dataset.documents import load_document
 from doughdata.dataset.info import INFO, read_info
 from doughdata.dataset.plan import PlanRecord, read_plans, shards_of
@@ -17,7 +21,7 @@ from doughdata.dataset.report import Problem, Report
 from doughdata.dataset.shards import ShardRows, read_table
 from doughdata.dataset.store import Store, store_of
 from doughdata.dataset.tables import build_info, build_tables
-from doughschemas import DoughError
+from doughschemas import DamagedDatasetError, DoughError
 from doughschemas.json_schemas import read_json_schema
 
 __all__ = ["validate"]
@@ -54,6 +58,7 @@ class _Validation:
     def __init__(self, store: Store, *, deep: bool) -> None:
         self._store, self._deep = store, deep
         self._damaged: set[str] = set()  # files that were reported
+        self._scenes: pa.Table | None = None  # what the commits give, unless they are damaged
         self.figures: dict[str, Any] = {"files": 0, "bytes": 0, "orphans": 0}
 
     def run(self, progress: Progress) -> Problems:
@@ -74,15 +79,18 @@ class _Validation:
             return  # a damaged commit was reported; without it nothing below can be judged
         yield from self._places(plans, commits)
         yield from self._files(commits)
+        yield from self._assets()
         yield from self._stale(log, fresh)
         if info is None:
             return
         yield from self._tables(info, log)
+        yield from check_documents(self._store, info)
         content = ContentCheck(self._store, num_frames=info["num_frames"])
         for done, shard in enumerate(log.shards if self._deep else ()):
             progress(done, len(log.shards))
             yield from self._content(content, fresh[shard])
         if self._deep:
+            yield from content.dataset(self._scenes)
             progress(len(log.shards), len(log.shards))
             self.figures |= content.figures()
 
@@ -163,21 +171,29 @@ class _Validation:
         newest = {(c.layer, c.shard): c.revision for c in sorted(commits, key=lambda c: c.revision)}
         for path, commit in by_path.items():
             superseded = commit.revision < newest[commit.layer, commit.shard]
-            if superseded and not self._store.exists(path):
-                continue  # collected
             there = set(self._store.walk(path)) if self._store.exists(path) else set()
             for name in sorted(there - set(commit.files)):
                 yield Problem(file=f"{path}/{name}", message="is not named by the commit")
-            for name in sorted(commit.files):
+            # What is superseded may have been collected, on an object store also in part.
+            for name in sorted(there & set(commit.files) if superseded else commit.files):
                 yield from self._file(commit, f"{path}/{name}", name)
         for layer in self._store.names("data"):
             for attempt in self._store.names(f"data/{layer}"):
                 self.figures["orphans"] += f"data/{layer}/{attempt}" not in by_path
 
+    def _assets(self) -> Problems:
+        """Meshes of tools and bodies are named by their sha256."""
+        for folder in (TOOLS, BODIES):
+            for name in self._store.names(folder.rstrip("/")):
+                digest = sha256(self._store.read(folder + name)).hexdigest()
+                if digest != name.partition(".")[0]:
+                    message = "does not fit the sha256 in its name"
+                    yield Problem(file=folder + name, message=message)
+
     def _file(self, commit: CommitRecord, path: str, name: str) -> Problems:
         try:
             data = self._store.read(path)
-        except DoughError as error:
+        except DamagedDatasetError as error:
             yield self._problem(path, error)
             return
         self.figures["files"] += 1
@@ -206,13 +222,14 @@ class _Validation:
             if not self._damaged:
                 yield self._problem("meta", error)
             return
+        self._scenes = tables["scenes"]
         advice = "is not what the commits give; the next `doughdata generate` rebuilds it"
         hashes = {}
         for name, expected in tables.items():
             path = f"meta/{name}.parquet"
             try:
                 data = self._store.read(path)
-                table = read_table(self._store.local(path))
+                table = read_table(self._store, path)
             except DoughError as error:
                 yield self._problem(path, error)
                 continue
@@ -228,9 +245,10 @@ class _Validation:
         self.figures |= {k: info[k] for k in ("total_scenes", "total_frames", "total_failed")}
 
     def _content(self, content: ContentCheck, layers: Mapping[str, CommitRecord]) -> Problems:
-        if "sim" not in layers:
+        base = layers.get("sim") or layers.get(RECORDED)
+        if base is None:
             return
-        rows = ShardRows(scenes=layers["sim"].scenes, num_frames=content.num_frames)
+        rows = ShardRows(scenes=base.scenes, num_frames=content.num_frames)
         for problem in content.shard(layers, rows):
             if not any(file.startswith(problem.file) for file in self._damaged):
                 yield problem
@@ -238,8 +256,7 @@ class _Validation:
     def _problem(self, path: str, error: Exception) -> Problem:
         self._damaged.add(path)
         text = str(error).removeprefix(f"{self._store.uri}: ")
-        for prefix in (str(self._store.local(path)), path):
-            text = text.removeprefix(prefix).lstrip(": ")
+        text = text.removeprefix(path).lstrip(": ")
         return Problem(file=path, message=text)
 
 

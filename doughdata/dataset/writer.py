@@ -5,19 +5,20 @@ commit record is published. A crash leaves an attempt without a commit, which no
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from doughdata.dataset.arrays import write_arrays
+from doughdata.dataset.arrays import encode_arrays, spooled_files
 from doughdata.dataset.assets import store_meshes
 from doughdata.dataset.commits import (
+    RECORDED,
     CommitLog,
     CommitRecord,
     StageRecord,
     read_commit,
-    upstream_of,
 )
 from doughdata.dataset.info import (
     DatasetSettings,
@@ -26,7 +27,13 @@ from doughdata.dataset.info import (
     create_info,
     read_info,
 )
-from doughdata.dataset.layers import encode_depth, encode_mesh, encode_sim, encode_topology
+from doughdata.dataset.layers import (
+    encode_depth,
+    encode_mesh,
+    encode_recorded,
+    encode_sim,
+    encode_topology,
+)
 from doughdata.dataset.plan import (
     PlanRecord,
     Shard,
@@ -36,29 +43,14 @@ from doughdata.dataset.plan import (
     scenes_of,
     shards_of,
 )
-from doughdata.dataset.shards import ARRAYS, Encoded, ShardRows, write_table
-from doughdata.dataset.store import (
-    Store,
-    attempt_folder,
-    explain_os_errors,
-    store_of,
-    sync_tree,
-)
+from doughdata.dataset.reuse import earlier_records
+from doughdata.dataset.shards import ARRAYS, Encoded, ShardRows, encode_table
+from doughdata.dataset.store import LocalStore, Store, store_of
 from doughdata.dataset.tables import refresh_tables
+from doughdata.dataset.tasks import Earlier, Task, task_for
 from doughschemas import BadInputError, DatasetError, Scene
 
-__all__ = ["DatasetWriter", "Task", "open_writer"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Task:
-    """One layer of one shard that is to be made. Picklable: it travels to a worker."""
-
-    layer: str  # sim | topology | mesh | depth.<sensor>
-    shard: str
-    scenes: tuple[int, ...]  # scene_index of the scenes to work on
-    revision: int  # 0, or one more than the commit that it replaces
-    upstream: Mapping[str, str]  # layer -> hash of the commit that the work reads
+__all__ = ["DatasetWriter", "open_writer"]
 
 
 class DatasetWriter:
@@ -122,7 +114,7 @@ class DatasetWriter:
         """
         log = CommitLog(self.store)
         tasks = (
-            _task(layer, shard, log, retry_failed=retry_failed, replace_with=replace_with)
+            task_for(layer, shard, log, retry_failed=retry_failed, replace_with=replace_with)
             for shard in (self.shards() if shards is None else shards)
         )
         return [task for task in tasks if task is not None]
@@ -156,7 +148,8 @@ class DatasetWriter:
         Args:
             task: from `tasks`.
             records: scene_index -> `Particles` (sim), `Topology` (topology), a sequence of
-                `ComponentMeshes`, one a key frame (mesh), or `DepthViews` (depth.<sensor>).
+                `ComponentMeshes`, one a key frame (mesh), `DepthViews` (depth.<sensor>) or
+                `RecordedScene` (depth.recorded).
             stage: what made them.
             failed: scene_index -> reason (one line) of the scenes without a record.
             scenes: scene_index -> `Scene`, for layer `sim`; None = those of the plan.
@@ -189,15 +182,30 @@ class DatasetWriter:
             return self._publish(commit)
         encoded = self._encode(task, records, scenes)
         path = f"data/{task.layer}/{task.shard}-{uuid4().hex[:12]}"
-        with (
-            explain_os_errors(self.uri, f"write {task.layer} of shard {task.shard}"),
-            attempt_folder(self.store.local(path)) as folder,
-        ):
-            attributes = {"layer": task.layer, "shard": task.shard, "scenes": list(commit.scenes)}
-            write_arrays(folder / ARRAYS, encoded.arrays, attributes=attributes)
-            for name, table in encoded.tables.items():
-                write_table(folder / f"{name}.parquet", table)
-            return self._publish(replace(commit, path=path, files=sync_tree(folder)))
+        files = encode_files(encoded, commit)
+        self.store.write_folder(path, files)
+        hashes = {name: _digest(data) for name, data in files.items()}
+        try:
+            return self._publish(replace(commit, path=path, files=hashes))
+        except BaseException:
+            # Here, what failed did not happen. A request to an object store may still arrive, and
+            # then its record names this attempt: it stays, and `gc` removes it if it is an orphan.
+            if isinstance(self.store, LocalStore) and not self.store.exists(commit.name):
+                self.store.remove(path)
+            raise
+
+    def earlier(self, task: Task, stage: StageRecord) -> Earlier:
+        """What the commit that a task replaces holds already (see `reuse`)."""
+        if task.revision == 0:  # the usual case: nothing to list
+            return Earlier(commit=None, fresh=False, records={})
+        log = CommitLog(self.store)
+        commit = log.newest(task.layer, task.shard)
+        if commit is None:
+            return Earlier(commit=None, fresh=False, records={})
+        records = earlier_records(
+            self.store, commit, stage, task.scenes, num_frames=self.num_frames
+        )
+        return Earlier(commit=commit, fresh=task.layer in log.fresh(task.shard), records=records)
 
     def refresh(self) -> None:
         """Rebuild the derived tables and the totals in info.json from the commits; atomic."""
@@ -212,6 +220,9 @@ class DatasetWriter:
             scenes = self.scenes(task) if scenes is None else scenes
             stored = {index: store_meshes(self.store, scenes[index]) for index in records}
             return encode_sim(records, stored, rows)
+        if task.layer == RECORDED:
+            recorded = ShardRows(scenes=tuple(sorted(records)), num_frames=self.num_frames)
+            return encode_recorded(records, recorded)
         sim = CommitLog(self.store).newest("sim", task.shard)
         if sim is None:
             raise DatasetError(f"{self.uri}: shard {task.shard} has no sim layer to refer to")
@@ -220,10 +231,13 @@ class DatasetWriter:
         return encode(records, rows)
 
     def _publish(self, commit: CommitRecord) -> CommitRecord:
-        """Create the commit record; if it exists, drop this attempt and take that one."""
-        if not self.store.create(commit.name, commit.dump()) and commit.path is not None:
-            remove_attempt(self.store, commit.path)
-        return read_commit(self.store, commit.layer, commit.shard, commit.revision)
+        """Create the commit record; if another process was first, drop this attempt."""
+        created = self.store.create(commit.name, commit.dump())
+        winner = read_commit(self.store, commit.layer, commit.shard, commit.revision)
+        # A store whose answer was lost and asked again says that the record existed: it is ours.
+        if not created and commit.path is not None and winner.path != commit.path:
+            self.store.remove(commit.path)
+        return winner
 
     def _plan(self, shard: str) -> PlanRecord:
         for plan in read_plans(self.store):
@@ -245,41 +259,20 @@ def open_writer(uri: str | Path | Store, settings: DatasetSettings | None = None
     return DatasetWriter(store, info)
 
 
-def remove_attempt(store: Store, path: str) -> None:
-    """Delete an attempt folder that no commit names."""
-    import shutil
+def encode_files(encoded: Encoded, commit: CommitRecord) -> dict[str, bytes | Path]:
+    """Content of an attempt folder: name -> bytes, or a file that has them."""
+    attributes = {"layer": commit.layer, "shard": commit.shard, "scenes": list(commit.scenes)}
+    arrays: dict[str, bytes | Path] = {
+        **encode_arrays(encoded.arrays, attributes=attributes),
+        **spooled_files(encoded.arrays),
+    }
+    tables = {f"{name}.parquet": encode_table(table) for name, table in encoded.tables.items()}
+    return {**{f"{ARRAYS}/{name}": data for name, data in arrays.items()}, **tables}
 
-    shutil.rmtree(store.local(path), ignore_errors=True)
 
-
-def _task(
-    layer: str,
-    shard: Shard,
-    log: CommitLog,
-    *,
-    retry_failed: bool,
-    replace_with: StageRecord | None,
-) -> Task | None:
-    """The task for a shard, or None if there is nothing to do or to work from."""
-    fresh, own = log.fresh(shard.id), log.newest(layer, shard.id)
-    needed = upstream_of(layer)
-    if any(name not in fresh for name in needed):
-        return None
-    if layer in fresh:
-        again = retry_failed and bool(fresh[layer].failed)
-        if replace_with is not None:
-            again |= not fresh[layer].stage.same(replace_with)
-        if not again:
-            return None
-    scenes = set(shard.scene_indices)
-    for name in needed:
-        scenes &= set(fresh[name].scenes)
-    if not scenes:
-        return None
-    return Task(
-        layer=layer,
-        shard=shard.id,
-        scenes=tuple(sorted(scenes)),
-        revision=0 if own is None else own.revision + 1,
-        upstream={name: fresh[name].hash for name in needed},
-    )
+def _digest(data: bytes | Path) -> str:
+    """Hex sha256 of what a file holds or will hold."""
+    if isinstance(data, bytes):
+        return sha256(data).hexdigest()
+    with data.open("rb") as file:
+        return file_digest(file, "sha256").hexdigest()

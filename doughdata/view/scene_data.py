@@ -9,6 +9,7 @@ from jaxtyping import Float32, Float64, Int64
 
 from doughdata.geometry import quaternion_to_matrix
 from doughdata.scenes.tools import finger_mesh
+from doughdata.view.recorded import recorded_scenes
 from doughschemas import (
     BadInputError,
     ComponentMesh,
@@ -124,6 +125,10 @@ def load_scene(dataset: ViewDataset, index: int, *, sensor: str | None = None) -
         raise BadInputError("the dataset holds no scene yet: run `doughdata generate` first")
     if index not in there:
         raise BadInputError(f"no scene {index}: the dataset holds {ranges(there)}")
+    if index in recorded_scenes(dataset):
+        raise BadInputError(
+            f"scene {index} is a recording: `doughdata view --scene {index} --save X.png` shows it"
+        )
     sensor = chosen_sensor(dataset, sensor)
     missing: dict[str, str] = {}
 

@@ -10,6 +10,7 @@ from jaxtyping import Float, Float64
 from doughdata.geometry import transform_points
 from doughdata.view.layout import SceneStrip, draw_sheet
 from doughdata.view.panels import Picture
+from doughdata.view.recorded import draw_recordings, recorded_scenes
 from doughdata.view.scene_data import ViewDataset, chosen_sensor, ranges, scene_title, tool_shape
 from doughschemas import (
     BadInputError,
@@ -37,7 +38,7 @@ def save_sheet(
 
     By default at most four scenes, evenly spread over the dataset, and of each six key frames out
     of those that `doughdata render` takes, with the ones right after a change of topology.
-    `sensor` names a depth layer; by default it is the first.
+    `sensor` names a depth layer; by default it is the first. Recordings have a sheet of their own.
 
     Raises:
         BadInputError: not a `.png` path, an empty dataset, a path that cannot be
@@ -50,15 +51,22 @@ def save_sheet(
     there = list(dataset.scene_indices)
     if not there:
         raise BadInputError("the dataset holds no scene yet: run `doughdata generate` first")
+    recorded = recorded_scenes(dataset)
+    default = [scene for scene in there if scene not in recorded] or there
     chosen = (
-        [there[i] for i in _spread(len(there), MOST_SCENES)] if scenes is None else list(scenes)
+        [default[i] for i in _spread(len(default), MOST_SCENES)] if scenes is None else list(scenes)
     )
     if wrong := [scene for scene in chosen if scene not in there]:
         raise BadInputError(f"no scene {wrong[0]}: the dataset holds {ranges(there)}")
     wanted = None if frames is None else tuple(frames)
-    sensor = chosen_sensor(dataset, sensor)
-    strips = [_strip(dataset, scene, wanted, sensor) for scene in chosen]
-    figure = draw_sheet(strips, caption=f"{len(chosen)} of {len(there)} scenes")
+    if chosen and all(scene in recorded for scene in chosen):
+        figure = draw_recordings(dataset, chosen)
+    elif mixed := [scene for scene in chosen if scene in recorded]:
+        raise BadInputError(f"scene {mixed[0]} is a recording: show it on a sheet of its own")
+    else:
+        sensor = chosen_sensor(dataset, sensor)
+        strips = [_strip(dataset, scene, wanted, sensor) for scene in chosen]
+        figure = draw_sheet(strips, caption=f"{len(chosen)} of {len(there)} scenes")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)

@@ -2,6 +2,7 @@
 
 from doughdata.dataset.layers.depth import decode_depth, encode_depth
 from doughdata.dataset.layers.mesh import decode_label_grid, decode_meshes, encode_mesh
+from doughdata.dataset.layers.recorded import RecordedScene, decode_color, encode_recorded
 from doughdata.dataset.layers.sim import decode_particles, decode_tool_poses, encode_sim
 from doughdata.dataset.layers.topology import (
     decode_events,
@@ -11,6 +12,8 @@ from doughdata.dataset.layers.topology import (
 )
 
 __all__ = [
+    "RecordedScene",
+    "decode_color",
     "decode_depth",
     "decode_events",
     "decode_frame_topology",
@@ -21,6 +24,7 @@ __all__ = [
     "decode_topology",
     "encode_depth",
     "encode_mesh",
+    "encode_recorded",
     "encode_sim",
     "encode_topology",
 ]

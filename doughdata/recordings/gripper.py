@@ -1,0 +1,85 @@
+"""How far the gripper was open at each key frame, from a topic that the user names."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from doughdata.recordings.errors import RecordingError
+from doughdata.recordings.options import TopicOptions
+from doughdata.recordings.pictures import stamp_of
+from doughdata.recordings.source import Message, Source
+
+__all__ = ["gripper_opening"]
+
+NEAR = 0.05  # [s]; before the first and after the last sample the value is held so long
+MILLIMETRES = ("wsg",)  # packages whose messages give the width in mm
+
+
+def gripper_opening(
+    source: Source, options: TopicOptions, stamps: Sequence[int]
+) -> Float64[np.ndarray, " frames"]:
+    """Opening [m] at each stamp [ns], linear between samples; NaN where it is unknown.
+
+    `options.gripper_topic` is TOPIC or TOPIC:FIELD: of JointState the name of a joint (never its
+    place), of other types a field, by default `width`.
+
+    Raises:
+        RecordingError: no such topic, joint or field, or values that are no numbers.
+    """
+    if options.gripper_topic is None:
+        return np.full(len(stamps), np.nan)
+    name, _, field = options.gripper_topic.partition(":")
+    topic = source.topics.get(name)
+    if topic is None or not topic.count:
+        raise RecordingError(f"--gripper-topic: no topic {name} with messages")
+    times, values = [], []
+    for message in source.messages([name]):
+        value = None if message.error else _value(message, topic.kind, name, field)
+        if value is not None:
+            times.append(stamp_of(message.value) or message.log_time)
+            values.append(value)
+    if not values:
+        raise RecordingError(f"--gripper-topic: no message of {name} gives {field or 'a width'}")
+    scale = options.gripper_scale
+    if scale is None:
+        scale = 1e-3 if topic.schema.lower().startswith(MILLIMETRES) else 1.0
+    order = np.argsort(times, kind="stable")
+    seconds = (np.array(times, np.int64)[order] - stamps[0]) / 1e9
+    wanted = (np.array(stamps, np.int64) - stamps[0]) / 1e9
+    opening = np.interp(wanted, seconds, np.array(values, float)[order] * scale)
+    outside = (wanted < seconds[0] - NEAR) | (wanted > seconds[-1] + NEAR)
+    return np.where(outside, np.nan, opening)
+
+
+def _joints(value: Any) -> dict[str, float]:
+    """Joint -> position, of ROS's JointState and Foxglove's JointStates."""
+    if hasattr(value, "joints"):
+        return {str(joint.name): float(joint.position) for joint in value.joints}
+    return {str(n): float(p) for n, p in zip(value.name, value.position, strict=False)}
+
+
+def _value(message: Message, kind: str, topic: str, field: str) -> float | None:
+    """The number in a message, or None if this one does not hold it."""
+    value: Any = message.value
+    try:
+        if kind in ("JointState", "JointStates"):
+            joints = _joints(value)
+            names = list(joints)
+            if not field and len(names) != 1:
+                raise RecordingError(
+                    f"--gripper-topic {topic}: say which joint with {topic}:JOINT "
+                    f"({', '.join(names[:12])})"
+                )
+            if field and field not in names:
+                return None  # drivers publish parts of the robot in turn
+            value = joints[field or names[0]]
+        else:
+            for part in (field or "width").split("."):
+                value = getattr(value, part)
+        return float(value) if np.isfinite(float(value)) else None
+    except (AttributeError, TypeError, ValueError, IndexError) as error:
+        raise RecordingError(
+            f"--gripper-topic {topic}: its messages have no number {field or 'width'!r}"
+        ) from error
