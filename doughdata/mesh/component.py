@@ -66,12 +66,16 @@ def component_field(
         field, found = _finish(base, cloud, trial, genus, config)
         if found < error:
             best, error, opened = field, found, trial
+    # A seam opened in vain at the first radius may be what is wrong at the others.
+    choices = [opened, pairs[:0]] if len(opened) else [opened]
     for radius in config.other_radii:
         if error == 0:
             return best
-        field, found = _finish(closing(radius), cloud, opened, genus, config)
-        if found < error:
-            best, error = field, found
+        other = closing(radius)
+        for seams in choices:
+            field, found = _finish(other, cloud, seams, genus, config)
+            if found < error:
+                best, error = field, found
     return best
 
 

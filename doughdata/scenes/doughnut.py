@@ -1,15 +1,23 @@
 """A doughnut: g = 1 may become 0 or 2, and it may fall into pieces."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from doughdata.scenes.sampling import between, sample_action, sample_scene
+from doughdata.scenes.sampling import VISE, between, sample_action, sample_scene
 from doughschemas import Action, Body, Scene, Tool
 
 __all__ = ["Doughnut"]
 
 
+# Squeezes anywhere on a ring mostly cut its tube. A figure eight (g = 2) and two rings need fingers
+# that meet in the middle of the hole, and the eight an opening at which the walls merge and hold.
+SHARE_CENTRED, OFF_CENTRE = 0.5, 0.15  # of the scenes; of the ring's radius
+SHARE_PINCHED, PINCH = 0.5, (0.004, 0.008)  # of the centred ones; final opening [m]
+
+
 class Doughnut:
-    """One ring, round to elongated, squeezed across its hole or through its tube."""
+    """One ring, round to elongated: squeezed across its hole, or anywhere through its tube."""
 
     def sample(self, *, seed: int, number: int, split: str) -> Scene:
         """Scene `number` of a split."""
@@ -30,4 +38,9 @@ def _bodies(scale: float, rng: np.random.Generator) -> tuple[Body, ...]:
 
 def _action(bodies: tuple[Body, ...], tool: Tool, rng: np.random.Generator) -> Action:
     radius = float(bodies[0].parameters["ring_radius"])
-    return sample_action(tool, rng, reach=(radius, radius), yaw=np.pi / 2, opening=0.016)
+    centred = rng.random() < SHARE_CENTRED
+    reach = OFF_CENTRE * radius if centred else radius
+    action = sample_action(tool, rng, reach=(reach, reach), yaw=np.pi / 2, opening=0.016)
+    if centred and tool.width < VISE and rng.random() < SHARE_PINCHED:
+        return replace(action, opening_end=between(*PINCH, rng.random()))
+    return action

@@ -11,6 +11,9 @@ __all__ = ["Rolls"]
 # ones, on a table that holds them, are cut before they meet: 3 pieces, or 4.
 NEAR, FAR = (0.001, 0.006), (0.024, 0.036)
 SHARE_FAR = 0.6
+# Half of the squeezes lie where both rolls do, so that a blade cuts both: 4 pieces. The others lie
+# anywhere along either roll: one of them is missed, or only its end is caught.
+SHARE_BOTH = 0.5
 
 
 class Rolls:
@@ -38,5 +41,7 @@ def _bodies(scale: float, rng: np.random.Generator) -> tuple[Body, ...]:
 
 def _action(bodies: tuple[Body, ...], tool: Tool, rng: np.random.Generator) -> Action:
     length = float(bodies[0].parameters["length"])
-    reach = abs(bodies[0].position[1]) + 0.42 * length
+    shift = abs(bodies[0].position[1])
+    both = rng.random() < SHARE_BOTH
+    reach = 0.40 * length - shift if both else 0.42 * length + shift
     return sample_action(tool, rng, reach=(0.006, reach), yaw=np.radians(25), opening=0.020)

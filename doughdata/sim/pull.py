@@ -1,14 +1,14 @@
 """The counterfactual: would these particles stay together if two sides were driven apart?"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
 from doughdata.sim.solver import Physics, Solver
 from doughdata.stages import PullProblem
-from doughschemas import BadInputError, Material
+from doughschemas import BadInputError
 
 __all__ = ["MpmPullApart", "PullConfig"]
 
@@ -17,7 +17,6 @@ __all__ = ["MpmPullApart", "PullConfig"]
 class PullConfig:
     """Numerics of a pull test."""
 
-    material: Material = field(default_factory=Material)
     cells: float = 1.5625  # dx / spacing: 2.0 sticks, 1.25 breaks thin necks
     cfl: float = 0.4  # as `MpmConfig.cfl`
     density_cap: float = 1.15  # what the check's thresholds were found with
@@ -55,7 +54,7 @@ class MpmPullApart:
         local = turned[order] - centre
         room = problem.distance + 4 * self.config.cells * problem.spacing
         physics = Physics(
-            material=self.config.material,
+            material=problem.material,
             spacing=problem.spacing,
             dx=self.config.cells * problem.spacing,
             cfl=self.config.cfl,

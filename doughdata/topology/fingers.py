@@ -36,11 +36,13 @@ class Gripper:
         return np.stack([self._to(finger, points) for finger in range(len(self.position))])
 
     def distances_within(
-        self, points: Float64[np.ndarray, "points 3"], reach: float
+        self, points: Float64[np.ndarray, "points 3"], reach: float, *, raised: float
     ) -> Float64[np.ndarray, "fingers points"]:
         """As `distances`, but infinite for points farther than `reach` [m] from the finger's grid.
 
-        Cheap where most points are far from the fingers.
+        Cheap where most points are far from the fingers. Points less than `raised` [m] above a
+        finger's foot are taken for points at that height: nothing passes below a finger that
+        stands on the table, but its foot is a face, and no point near a face is deep inside.
         """
         low = self.shape.origin
         high = low + self.shape.spacing * (np.array(self.shape.values.shape) - 1)
@@ -48,7 +50,7 @@ class Gripper:
         for own, position, rotation in zip(found, self.position, self.rotation, strict=True):
             local = (points - position) @ rotation
             box = np.flatnonzero(((local > low - reach) & (local < high + reach)).all(axis=1))
-            own[box] = self.shape.sample(local[box])
+            own[box] = self._sample(local[box], raised)
         return found
 
     def between(
@@ -61,27 +63,34 @@ class Gripper:
     ) -> Bool[np.ndarray, " points"]:
         """Whether a finger lies at least `depth` [m] deep between each point and its end.
 
-        `distances` are those of each point and of its end to each finger. Three samples a segment:
-        bonds are at most three spacings long, fingers two or more wide.
+        `distances` are those of each point and of its end to each finger, raised by `2 depth`.
+        Three samples a segment: bonds are at most three spacings long, fingers two or more wide.
         """
+        raised = 2 * depth
         length = np.linalg.norm(ends - points, axis=1)
         through = np.zeros(len(points), dtype=bool)
         for finger in range(len(self.position)):
             # A distance changes by at most the way walked: few segments can reach so deep.
             deepest = (distances[finger].sum(axis=1) - length) / 2
             asked = np.flatnonzero(~through & (deepest < -depth))
-            middle = self._to(finger, (points[asked] + ends[asked]) / 2)
+            middle = self._to(finger, (points[asked] + ends[asked]) / 2, raised)
             through[asked] |= middle < -depth
             asked = asked[(middle >= -depth) & (middle < 0.2 * length[asked] - depth)]
             for share in (0.3, 0.7):
                 samples = points[asked] + share * (ends[asked] - points[asked])
-                through[asked] |= self._to(finger, samples) < -depth
+                through[asked] |= self._to(finger, samples, raised) < -depth
         return through
 
     def _to(
-        self, finger: int, points: Float64[np.ndarray, "points 3"]
+        self, finger: int, points: Float64[np.ndarray, "points 3"], raised: float = -np.inf
     ) -> Float64[np.ndarray, " points"]:
-        return self.shape.sample((points - self.position[finger]) @ self.rotation[finger])
+        return self._sample((points - self.position[finger]) @ self.rotation[finger], raised)
+
+    def _sample(
+        self, local: Float64[np.ndarray, "points 3"], raised: float
+    ) -> Float64[np.ndarray, " points"]:
+        lifted = np.column_stack([local[:, :2], np.maximum(local[:, 2], raised)])
+        return self.shape.sample(lifted)
 
 
 def gripper_at(scene: Scene, poses: ToolPoses, frame: int) -> Gripper:

@@ -4,32 +4,30 @@ A genus is read at few key frames and only looked at more closely where two read
 reading speaks for a range of genus: unmerged contacts are kept open by walls, which may open a loop
 but make no handle, so that the truth is not above what is read with walls, nor below what is read
 both with and without them. It changes when a reading is firm (one value, for all closing radii) and
-lasts for four key frames or to the end of the scene; it grows only if something was merged: a cut
-takes handles away, and none comes from nothing. Else the genus before stays. A key frame is unsure
-if its readings exclude its genus.
+lasts for four key frames or to the end of the scene; it grows only if something was merged within
+one piece: a cut takes handles away, and none comes from nothing. Else the genus before stays. A key
+frame is unsure if its readings exclude its genus.
 """
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 from scipy.spatial import KDTree
 
+from doughdata.topology.runs import refine, runs_of
 from doughdata.topology.skeletons import Skeleton, cycle_rank, skeleton_of
 from doughdata.topology.solids import Closing, Solid, solid_genus
-from doughdata.topology.tracking import count_labels
 from doughdata.topology.walls import find_walls
 from doughschemas import SceneGraph
 
-__all__ = ["Shape", "read_shapes", "refine", "scene_graph"]
+__all__ = ["Shape", "read_shapes", "scene_graph"]
 
 STILL = 0.1  # [spacings]; a component that moved less than this keeps its shape
 RETHIN = 2.0  # [spacings]; a component that moved more than this gets a new skeleton
-STRIDE = 4  # key frames between two readings that agree
 FLICKER = 4  # key frames; a shorter change is smoothed
-SAME = 0.02  # share of particles that a component may lose or win and be the same
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,14 +66,14 @@ class _Track:
         bonds: Sequence[Int64[np.ndarray, "_ 2"]],
         contacts: Sequence[Int64[np.ndarray, "_ 2"]],
         *,
-        joined: Sequence[bool],
+        loops: Sequence[int],
         spacing: float,
         radii: tuple[float, ...],
     ) -> None:
         self.label, self.first, self.members = label, first, members
         self.last = first + len(members) - 1
         self.positions, self.spacing, self.radii = positions, spacing, radii
-        self.bonds, self.contacts, self.joined = bonds, contacts, joined
+        self.bonds, self.contacts, self.loops = bonds, contacts, loops
         self.readings: dict[int, _Reading] = {}
 
     def shapes(self) -> list[Shape]:
@@ -145,8 +143,8 @@ class _Track:
         genus = [self.readings[known[k]].genus for k in before]
         edges = [0, *(k for k in range(1, len(genus)) if genus[k] != genus[k - 1]), len(genus)]
         spans = [(low, high) for low, high in itertools.pairwise(edges)]
-        kept = [genus[low] for low, high in spans if self._holds(low, high)]
-        value = kept[0] if kept else min(genus)
+        kept = [high for low, high in spans if self._holds(low, high)]
+        value = min(genus[: kept[0]] if kept else genus)
         settled: list[int] = []
         for low, high in spans:
             if self._holds(low, high) and (genus[low] < value or self._may_grow(low, high)):
@@ -159,15 +157,17 @@ class _Track:
         return settled, sure
 
     def _may_grow(self, low: int, high: int) -> bool:
-        """Whether something was merged shortly before or in a span of the track."""
+        """Whether a loop may have closed shortly before or in a span of the track."""
         first = self.first + low - FLICKER
-        return low == 0 or any(self.joined[max(first, 0) : self.first + high])
+        return low == 0 or any(self.loops[max(first, 0) : self.first + high])
 
     def _fits(self, frame: int, genus: int) -> bool:
         """Whether the reading of a key frame leaves this genus possible."""
         reading, offset = self.readings[frame], frame - self.first
-        # In dough that is nowhere cut and has not merged, a handle too many is a pore.
-        pores = not reading.walled and not self._may_grow(max(offset, 1), offset + 1)
+        # In dough that is nowhere cut and has not merged, a handle that a wider closing fills is a
+        # pore.
+        closed = not reading.walled and not self._may_grow(max(offset, 1), offset + 1)
+        pores = closed and not reading.firm
         return genus <= reading.highest and (pores or reading.lowest <= genus)
 
     def _holds(self, low: int, high: int) -> bool:
@@ -216,46 +216,24 @@ class _Track:
         return self.readings[min(near, key=lambda f: (abs(f - frame), f))].solid
 
 
-def refine(
-    low: int,
-    high: int,
-    read: Callable[[int], object],
-    positions: Float32[np.ndarray, "frames particles 3"],
-    still: float,
-) -> None:
-    """Read between two key frames until readings that agree are at most `STRIDE` apart.
-
-    Or until no particle has moved by `still` [m] along an axis between them.
-    """
-    if read(low) == read(high):
-        moved = np.abs(positions[high] - positions[low]).max()
-        if high - low <= STRIDE or moved < still:
-            return
-    if high - low <= 1:
-        return
-    middle = (low + high) // 2
-    refine(low, middle, read, positions, still)
-    refine(middle, high, read, positions, still)
-
-
 def read_shapes(
     positions: Float32[np.ndarray, "frames particles 3"],
     labels: Sequence[UInt8[np.ndarray, " particles"]],
     bonds: Sequence[Int64[np.ndarray, "_ 2"]],
     contacts: Sequence[Int64[np.ndarray, "_ 2"]],
     *,
-    joined: Sequence[bool],
+    loops: Sequence[int],
     spacing: float,
     radii: tuple[float, ...],
 ) -> list[list[Shape]]:
     """Shapes of every key frame, in the order of the labels.
 
     Solids stay open along `contacts` (unmerged near pairs) unless their sides join nearby by
-    `bonds` (short ones). `joined` tells the key frames in which something was merged. The first of
+    `bonds` (short ones). `loops` counts the merges within one piece in each key frame. The first of
     `radii` [spacings] gives the genus, the others say whether it is sure.
     """
     found: list[list[Shape]] = [[] for _ in labels]
-    for label, first, members in _runs(labels):
+    for label, first, members in runs_of(labels):
         track = _Track(
             label,
             first,
@@ -263,38 +241,13 @@ def read_shapes(
             positions,
             bonds,
             contacts,
-            joined=joined,
+            loops=loops,
             spacing=spacing,
             radii=radii,
         )
         for offset, shape in enumerate(track.shapes()):
             found[first + offset].append(shape)
     return found
-
-
-def _runs(
-    labels: Sequence[UInt8[np.ndarray, " particles"]],
-) -> list[tuple[int, int, list[Int64[np.ndarray, " _"]]]]:
-    """Label, first key frame and members of every component while it stays the same."""
-    done: list[tuple[int, int, list[Int64[np.ndarray, " _"]]]] = []
-    alive: dict[int, tuple[int, int, list[Int64[np.ndarray, " _"]]]] = {}
-    for frame, own in enumerate(labels):
-        now = {}
-        for label in range(count_labels(own)):
-            members = np.flatnonzero(own == label)
-            run = alive.get(label)
-            if run is not None and _same(run[2][-1], members):
-                run[2].append(members)
-            else:
-                run = (label, frame, [members])
-                done.append(run)
-            now[label] = run
-        alive = now
-    return sorted(done, key=lambda run: run[0])
-
-
-def _same(before: Int64[np.ndarray, " _"], after: Int64[np.ndarray, " _"]) -> bool:
-    return len(np.setxor1d(before, after)) <= SAME * max(len(before), len(after))
 
 
 def _rank(skeleton: Skeleton) -> int:

@@ -1,7 +1,7 @@
 """The causal pass: carry the bond graph through the key frames and decide merges and splits."""
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt8
@@ -9,34 +9,23 @@ from scipy.spatial import KDTree
 
 from doughdata.stages import PullApart
 from doughdata.topology.bonds import BondGraph
+from doughdata.topology.bridges import weak_bridges
 from doughdata.topology.crops import SIDE_BOND
+from doughdata.topology.decisions import UNSURE, Answers, Decision, Question
 from doughdata.topology.fingers import Gripper, gripper_at
 from doughdata.topology.merges import Patch, merge_patches
 from doughdata.topology.pairs import connected, encode, is_member
 from doughdata.topology.pulls import PullTest, disjoint_paths, make_test, run_tests
 from doughdata.topology.splits import Neck, compression, split_necks
+from doughdata.topology.tracking import crumb_limit
 from doughschemas import Particles, Scene
 
 if TYPE_CHECKING:
     from doughdata.topology.dynamic import DynamicConfig
 
-__all__ = ["Decision", "FrameState", "History"]
-
+__all__ = ["FrameState", "History"]
 
 STILL = 0.02  # [spacings]; in a key frame that moved less nothing can have changed
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Decision:
-    """One answered question: does this patch hold, is this neck parted?"""
-
-    kind: str  # merge | split
-    centre: Float64[np.ndarray, " 3"]  # [m]
-    size: int  # contact pairs of a patch, particles of a neck
-    gap: float  # [spacings] of a patch, opening in spacings of a neck
-    paths: float  # disjoint paths left; of a neck, in units of resting dough
-    passed: bool
-    margin: float  # distance of `paths` from the threshold, in units of the threshold
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,11 +37,7 @@ class FrameState:
     decisions: tuple[Decision, ...]
     bonds: Int64[np.ndarray, " bonds"]  # keys of the short ones
     touching: Int32[np.ndarray, " particles"]  # pieces of the static check: near is one
-
-    @property
-    def joined(self) -> bool:
-        """Whether something was merged."""
-        return any(d.kind == "merge" and d.passed for d in self.decisions)
+    loops: int = 0  # merges within one piece: only these make handles
 
 
 @dataclass(slots=True)
@@ -64,8 +49,9 @@ class History:
     config: "DynamicConfig"
     puller: PullApart | None
     graph: BondGraph
-    decisions: list[Decision] = field(default_factory=list)  # of the present key frame
-    standing: list[Decision] = field(default_factory=list)  # last answers, by place
+    crumb: float  # particles; a smaller piece is a crumb
+    answers: Answers
+    loops: int = 0  # merges within one piece in the present key frame
     action: int = 0
     last: FrameState | None = None
 
@@ -84,7 +70,16 @@ class History:
             support_new=config.support_new,
             support_old=config.support_old,
         )
-        return cls(scene=scene, particles=particles, config=config, puller=puller, graph=graph)
+        crumb = crumb_limit(particles, config.crumb_share, config.crumb_volume)
+        return cls(
+            scene=scene,
+            particles=particles,
+            config=config,
+            puller=puller,
+            graph=graph,
+            crumb=crumb,
+            answers=Answers(config=config),
+        )
 
     def step(self, frame: int) -> FrameState:
         """Advance to a key frame and decide."""
@@ -92,12 +87,12 @@ class History:
         started = False
         if int(poses.action[frame]) != self.action:
             self.action = int(poses.action[frame])
-            self.standing = []
+            self.answers.standing = []
             started = True
-        self.decisions = []
+        self.answers.made, self.loops = [], 0
         x = np.asarray(self.particles.positions[frame], dtype=np.float64)
         if self.last is not None and not started and self._still(x):
-            return replace(self.last, decisions=())
+            return replace(self.last, decisions=(), loops=0)
         if frame > 0:
             self.graph.advance(x)
         if started:
@@ -105,6 +100,7 @@ class History:
         gripper = gripper_at(self.scene, poses, frame)
         self._cross(gripper)
         self._split(gripper)
+        self._part()
         self._merge()
         self.last = self._state()
         return self.last
@@ -118,7 +114,9 @@ class History:
         """Unlock what was cut. It stays apart until it is pressed closer than it lies now."""
         self.graph.start_action()
         for patch in self._patches():
-            self._note(*_patch_key(patch), 0.0, False, self.config.merged_paths)
+            self.answers.decide(
+                _about_patch(patch), 0.0, passed=False, threshold=self.config.merged_paths
+            )
 
     def _patches(self) -> list[Patch]:
         config = self.config
@@ -130,14 +128,15 @@ class History:
             length=config.patch_length,
             radius=config.crop,
             seam_gap=config.seam_gap,
-            settled=lambda centre, size, gap: self._settled("merge", centre, size, gap),
+            settled=self.answers.settled,
         )
 
     def _cross(self, gripper: Gripper) -> None:
         """Break bonds through a finger: a rigid body is between their ends."""
         graph, s = self.graph, self.graph.spacing
         reach = graph.reach * s / 2
-        distance = gripper.distances_within(graph.positions, reach)
+        depth = self.config.finger_depth * s
+        distance = gripper.distances_within(graph.positions, reach, raised=2 * depth)
         close = np.asarray((distance < reach).any(axis=0))
         if not close.any():
             return
@@ -147,7 +146,7 @@ class History:
         through = gripper.between(
             graph.positions[pairs[:, 0]],
             graph.positions[pairs[:, 1]],
-            self.config.finger_depth * s,
+            depth,
             distances=distance[:, pairs],
         )
         if through.any():
@@ -156,17 +155,39 @@ class History:
     def _split(self, gripper: Gripper) -> None:
         config, graph = self.config, self.graph
         necks = split_necks(graph, gripper, radius=config.crop, gate=config.neck_gate)
-        asked = [neck for neck in necks if not self._settled(*_neck_key(neck, graph.spacing))]
-        tests = [self._neck_test(neck, gripper) for neck in asked]
-        for neck, test, pulled in zip(asked, tests, run_tests(tests, self.puller), strict=True):
+        necks = [n for n in necks if not self.answers.settled(_about_neck(n, graph.spacing))]
+        tests = [self._neck_test(neck, gripper) for neck in necks]
+        for neck, test, pulled in zip(necks, tests, run_tests(tests, self.puller), strict=True):
             # Particles piled up in a narrow gap are more paths than the dough there is worth.
             core = graph.positions[neck.core]
             pressed = compression(core, graph.spacing, gripper, neck.opening)
             paths = self._paths(pulled, test) / pressed
             parted = paths < config.split_paths
-            self._note(*_neck_key(neck, graph.spacing), paths, parted, config.split_paths)
+            # A film thinner than a spacing is not resolved: that it holds is the less sure.
+            self.answers.decide(
+                _about_neck(neck, graph.spacing),
+                paths,
+                passed=bool(parted),
+                threshold=config.split_paths,
+                sharpness=1.0 if parted else min(1.0, neck.opening / graph.spacing),
+            )
             if parted:
                 graph.cut(self._cut_sides(pulled, test))
+
+    def _part(self) -> None:
+        """Cut what hangs together by next to nothing, wherever the fingers are."""
+        if not (len(self.graph.crossed) or self.graph.cuts):
+            return  # no finger has come between anything yet
+        weakest = self.config.split_paths
+        # A bridge that is a little too strong to be cut is still worth a doubt.
+        for bridge in weak_bridges(self.graph, smallest=self.crumb, weakest=(1 + UNSURE) * weakest):
+            parted = bridge.paths < weakest
+            about = Question(kind="split", centre=bridge.centre, size=bridge.size, gap=0.0)
+            self.answers.decide(
+                about, float(bridge.paths), passed=parted, threshold=weakest, stands=False
+            )
+            if parted:
+                self.graph.cut(bridge.side)
 
     def _neck_test(self, neck: Neck, gripper: Gripper) -> PullTest:
         return make_test(
@@ -179,18 +200,19 @@ class History:
             **self._pull_settings(),
         )
 
-    def _pull_settings(self) -> dict[str, float]:
+    def _pull_settings(self) -> dict[str, Any]:
         config = self.config
         return {
             "handle": config.handle,
             "distance": config.pull_distance,
             "speed": config.pull_speed,
             "spacing": self.graph.spacing,
+            "material": self.scene.material,
         }
 
-    def _paths(self, positions: Float64[np.ndarray, "crop 3"], test: PullTest) -> int:
+    def _paths(self, positions: Float64[np.ndarray, "crop 3"], test: PullTest) -> float:
         radius = self.config.path_radius * self.graph.spacing
-        return disjoint_paths(positions, test.first, test.second, radius)
+        return float(disjoint_paths(positions, test.first, test.second, radius))
 
     def _cut_sides(
         self, pulled: Float64[np.ndarray, "crop 3"], test: PullTest
@@ -214,24 +236,32 @@ class History:
         return side
 
     def _merge(self) -> None:
-        config, graph = self.config, self.graph
+        threshold = self.config.merged_paths
         asked, tests = [], []
         for patch in self._patches():
-            if self._settled(*_patch_key(patch)):
+            if self.answers.settled(_about_patch(patch)):
                 continue
             test = self._patch_test(patch)
             before = self._paths(test.problem.positions, test)
-            if before < config.merged_paths:  # pulling only takes paths away
-                self._note(*_patch_key(patch), float(before), False, config.merged_paths)
+            if before < threshold:  # pulling only takes paths away
+                self.answers.decide(_about_patch(patch), before, passed=False, threshold=threshold)
                 continue
             asked.append(patch)
             tests.append(test)
         for patch, test, pulled in zip(asked, tests, run_tests(tests, self.puller), strict=True):
-            paths = float(self._paths(pulled, test))
-            merged = paths >= config.merged_paths
-            self._note(*_patch_key(patch), paths, merged, config.merged_paths)
+            paths = self._paths(pulled, test)
+            merged = paths >= threshold
+            self.answers.decide(_about_patch(patch), paths, passed=merged, threshold=threshold)
             if merged:
-                graph.join(encode(patch.pairs, graph.count))
+                self._join(patch)
+
+    def _join(self, patch: Patch) -> None:
+        """Bond a patch; a patch within one piece may close a loop."""
+        graph = self.graph
+        piece = graph.pieces()
+        sides = [np.bincount(piece[side]).argmax() for side in (patch.first, patch.second)]
+        self.loops += int(sides[0] == sides[1])
+        graph.join(encode(patch.pairs, graph.count))
 
     def _patch_test(self, patch: Patch) -> PullTest:
         return make_test(
@@ -244,71 +274,24 @@ class History:
             **self._pull_settings(),
         )
 
-    def _settled(self, kind: str, centre: Float64[np.ndarray, " 3"], size: int, gap: float) -> bool:
-        """Whether the same place was asked before and has hardly changed since."""
-        for known in self.standing:
-            if known.kind != kind or np.linalg.norm(known.centre - centre) > self.config.same_place:
-                continue
-            grown = kind == "merge" and size > self.config.grown * known.size
-            return not grown and gap > known.gap - self._step(known)
-        return False
-
-    def _step(self, known: Decision) -> float:
-        """How much [spacings] a gap must close before it is worth asking again.
-
-        More where the answer cannot turn yet: a patch without any path, still wider than a seam,
-        and a neck with many paths, for they come and go over a fifth of the opening.
-        """
-        config = self.config
-        if known.kind == "merge":
-            far = known.paths == 0 and known.gap - config.closer_far > config.seam_gap
-            return config.closer_far if far else config.closer
-        beyond = 1 - config.split_paths / max(known.paths, config.split_paths)
-        return max(config.closer, config.closer_far * known.gap * beyond)
-
-    def _note(
-        self,
-        kind: str,
-        centre: Float64[np.ndarray, " 3"],
-        size: int,
-        gap: float,
-        paths: float,
-        passed: bool,
-        threshold: float,
-    ) -> None:
-        margin = abs(paths - threshold) / threshold
-        made = Decision(
-            kind=kind,
-            centre=centre,
-            size=size,
-            gap=gap,
-            paths=paths,
-            passed=passed,
-            margin=margin,
-        )
-        self.decisions.append(made)
-        far = self.config.same_place
-        self.standing = [
-            d for d in self.standing if d.kind != kind or np.linalg.norm(d.centre - centre) > far
-        ]
-        if not passed:
-            self.standing.append(made)
-
     def _state(self) -> FrameState:
         graph = self.graph
         pieces = graph.pieces()
         return FrameState(
             pieces=pieces,
             contacts=graph.pairs[graph.contact],
-            decisions=tuple(self.decisions),
+            decisions=tuple(self.answers.made),
             bonds=graph.bonded_keys(SIDE_BOND),
             touching=graph.touching(self.config.static.radius),
+            loops=self.loops,
         )
 
 
-def _patch_key(patch: Patch) -> tuple[str, Float64[np.ndarray, " 3"], int, float]:
-    return "merge", patch.centre, len(patch.pairs), patch.gap
+def _about_patch(patch: Patch) -> Question:
+    return Question(kind="merge", centre=patch.centre, size=len(patch.pairs), gap=patch.gap)
 
 
-def _neck_key(neck: Neck, spacing: float) -> tuple[str, Float64[np.ndarray, " 3"], int, float]:
-    return "split", neck.centre, len(neck.core), neck.opening / spacing
+def _about_neck(neck: Neck, spacing: float) -> Question:
+    return Question(
+        kind="split", centre=neck.centre, size=len(neck.core), gap=neck.opening / spacing
+    )

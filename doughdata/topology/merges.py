@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float64, Int32, Int64
 
 from doughdata.topology.bonds import BondGraph
 from doughdata.topology.crops import SIDE_BOND, Crop, chunks
+from doughdata.topology.decisions import Question
 from doughdata.topology.pairs import encode, lengths
 
 __all__ = ["Patch", "merge_patches"]
@@ -40,12 +41,12 @@ def merge_patches(
     length: float,
     radius: float,
     seam_gap: float,
-    settled: Callable[[Float64[np.ndarray, " 3"], int, float], bool],
+    settled: Callable[[Question], bool],
 ) -> list[Patch]:
     """Patches that may have merged. Patches whose sides already join close by are settled at once.
 
     A patch is made up of contacts up to `gap` spacings long; one without any below `nearest` is
-    left out, and so is one that `settled` knows by its centre [m], its size and its gap.
+    left out, and so is one that `settled` says was asked about.
 
     A patch that only extends a merged seam (its sides are one piece even within 5 mm) is bonded
     where the local gap is below `seam_gap` spacings; no pull can part it from its seam.
@@ -57,7 +58,7 @@ def merge_patches(
     parts = chunks(x, pairs, longest=gap * s, link=link * s, length=length)
     parts = [pairs[rows] for rows in parts if len(rows) >= FEWEST_PAIRS]
     parts = [part for part in parts if lengths(x, part).min() < nearest * s]
-    parts = [p for p in parts if not settled(_centre(x, p), len(p), _gap(lengths(x, p)) / s)]
+    parts = [part for part in parts if not settled(_about(x, part, s))]
     if not parts:
         return found
     bonds = graph.bonded_pairs(SIDE_BOND)
@@ -83,8 +84,9 @@ def _split_sides(
     ends = around.place[pairs]
     while True:
         piece = around.pieces(radius)
-        mixed = np.intersect1d(piece[ends[:, 0]], piece[ends[:, 1]])
-        if len(mixed) == 0 or radius <= SMALLEST_CROP:
+        # Pair by pair: which end comes first is a matter of how the particles are numbered.
+        mixed = (piece[ends[:, 0]] == piece[ends[:, 1]]).any()
+        if not mixed or radius <= SMALLEST_CROP:
             break
         radius *= SHRINK
     found = np.full(graph.count, -1, np.int32)
@@ -138,6 +140,13 @@ def _patch(
         centre=_centre(x, pairs),
         gap=_gap(distance) / graph.spacing,
     )
+
+
+def _about(
+    positions: Float64[np.ndarray, "particles 3"], pairs: Int64[np.ndarray, "pairs 2"], s: float
+) -> Question:
+    gap = _gap(lengths(positions, pairs)) / s
+    return Question(kind="merge", centre=_centre(positions, pairs), size=len(pairs), gap=gap)
 
 
 def _centre(

@@ -14,9 +14,9 @@ from scipy.sparse.csgraph import maximum_flow
 from scipy.spatial import KDTree
 
 from doughdata.stages import PullApart, PullProblem
-from doughschemas import BadInputError
+from doughschemas import BadInputError, Material
 
-__all__ = ["PullTest", "disjoint_paths", "make_test", "run_tests"]
+__all__ = ["PullTest", "disjoint_paths", "make_test", "most_paths", "run_tests"]
 
 FEWEST_HANDLES = 15  # a side with fewer far particles uses its farthest 40 %
 
@@ -43,6 +43,7 @@ def make_test(
     distance: float,
     speed: float,
     spacing: float,
+    material: Material,
 ) -> PullTest:
     """Set up a pull: the particles of both sides over `handle` [m] from `near` are driven.
 
@@ -60,6 +61,7 @@ def make_test(
         distance=distance,
         speed=speed,
         spacing=spacing,
+        material=material,
     )
     return PullTest(problem=problem, indices=indices, first=driven[0], second=driven[1])
 
@@ -97,12 +99,21 @@ def disjoint_paths(
     second: Bool[np.ndarray, " crop"],
     radius: float,
 ) -> int:
-    """Number of vertex-disjoint paths between two sets, steps shorter than `radius` [m].
+    """Number of vertex-disjoint paths between two sets, steps shorter than `radius` [m]."""
+    pairs = KDTree(positions).query_pairs(radius, output_type="ndarray")
+    return most_paths(pairs, first, second)
+
+
+def most_paths(
+    pairs: Int64[np.ndarray, "pairs 2"],
+    first: Bool[np.ndarray, " particles"],
+    second: Bool[np.ndarray, " particles"],
+) -> int:
+    """Number of vertex-disjoint paths along pairs between two sets.
 
     Maximum flow with unit capacity through every particle that is in neither set.
     """
-    count = len(positions)
-    pairs = KDTree(positions).query_pairs(radius, output_type="ndarray")
+    count = len(first)
     source, sink = 2 * count, 2 * count + 1
     node = np.arange(count)
     enter = np.where(first, source, np.where(second, sink, node))

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt8
 
-from doughdata.topology.genus import Shape, refine, scene_graph
+from doughdata.topology.genus import Shape, scene_graph
 from doughdata.topology.pairs import connected, decode, near_keys
 from doughdata.topology.record import bond_changes
+from doughdata.topology.runs import refine
 from doughdata.topology.skeletons import cycle_rank, skeleton_of
 from doughdata.topology.solids import Closing, Solid, solid_genus
 from doughdata.topology.tracking import (

@@ -14,6 +14,7 @@ __all__ = [
     "crumb_limit",
     "find_events",
     "first_labels",
+    "groups",
     "next_labels",
 ]
 
@@ -117,7 +118,7 @@ def find_events(
     decisions around this key frame, by kind (merge, split); 0 where no pull test decided.
     """
     events = []
-    for old, new in _groups(before, after):
+    for old, new in groups(before, after):
         gain = sum(after.genus[k] for k in new) - sum(before.genus[k] for k in old)
         kinds = []
         if len(old) > 1:
@@ -140,7 +141,7 @@ def find_events(
     return events
 
 
-def _groups(before: FrameTopology, after: FrameTopology) -> list[tuple[list[int], list[int]]]:
+def groups(before: FrameTopology, after: FrameTopology) -> list[tuple[list[int], list[int]]]:
     """Labels before and after that belong together, in the order of the lowest label."""
     was, now = before.num_components, after.num_components
     both = (before.labels != STRAY) & (after.labels != STRAY)

@@ -1,79 +1,23 @@
 """States whose topology anyone would agree on, built from lattices."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from doughdata.scenes.tools import PRESETS
 from doughdata.sim.pull import MpmPullApart
 from doughdata.topology.dynamic import DynamicCheck
 from doughdata.topology.skeletons import cycle_rank
 from doughdata.topology.static import StaticCheck
-from doughschemas import (
-    STRAY,
-    Action,
-    BadInputError,
-    Body,
-    Particles,
-    Scene,
-    SceneGraph,
-    Tool,
-    ToolPoses,
-    Topology,
+from doughschemas import STRAY, BadInputError, SceneGraph, Topology
+from tests.topology_states import (
+    bar,
+    block,
+    lattice,
+    pressed_blocks,
+    record,
+    ring,
+    sliced_ring,
+    torn_bar,
 )
-
-SPACING = 0.002
-
-
-def lattice(low, high, inside=None, *, seed: int = 0) -> np.ndarray:
-    axes = [np.arange(a + SPACING / 2, b, SPACING) for a, b in zip(low, high, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    grid = grid if inside is None else grid[inside(grid)]
-    return grid + np.random.default_rng(seed).uniform(-0.1, 0.1, grid.shape) * SPACING
-
-
-def ring(seed: int = 0) -> np.ndarray:
-    def inside(g: np.ndarray) -> np.ndarray:
-        return (np.hypot(g[:, 0], g[:, 1]) - 0.020) ** 2 + (g[:, 2] - 0.007) ** 2 < 0.007**2
-
-    return lattice((-0.028, -0.028, 0), (0.028, 0.028, 0.014), inside, seed=seed)
-
-
-def bar(y: float = 0.0) -> np.ndarray:
-    return lattice((-0.006, y - 0.015, 0), (0.006, y + 0.015, 0.012))
-
-
-def block(x: float, seed: int = 0) -> np.ndarray:
-    return lattice((x - 0.006, -0.006, 0), (x + 0.006, 0.006, 0.012), seed=seed)
-
-
-def record(*frames: np.ndarray, ids: np.ndarray | None = None) -> tuple[Scene, Particles]:
-    """Particles with fingers far away, so that nothing but the dough decides."""
-    count = len(frames)
-    position = np.tile([[0.25, 0.0, 0.0], [-0.25, 0.0, 0.0]], (count, 1, 1))
-    turn = np.tile([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]], (count, 1, 1))
-    scene = Scene(
-        scene_id="lattice",
-        family="custom",
-        bodies=(Body(shape="roll"),),
-        tools=(Tool(name="regular"),),
-        actions=(Action(),),
-    )
-    poses = ToolPoses(
-        position=position,
-        quaternion=turn,
-        opening=np.full(count, 0.5),
-        action=np.zeros(count, np.int32),
-    )
-    particles = Particles(
-        positions=np.asarray(frames, np.float32),
-        object_ids=np.zeros(len(frames[0]), np.uint8) if ids is None else ids,
-        timestamps=np.arange(count, dtype=float),
-        tool_poses=poses,
-        spacing=SPACING,
-    )
-    return scene, particles
 
 
 def check_contract(topology: Topology) -> None:
@@ -138,10 +82,7 @@ def test_touching_bodies_stay_two() -> None:
 @pytest.mark.parametrize(("gap", "merged"), [(0.0, True), (0.0024, False)])
 def test_pull_decides_about_pressed_bodies(gap: float, merged: bool) -> None:
     """Bodies pressed to lattice distance hold when pulled; 1.2 spacings apart they part."""
-    x = np.concatenate([block(-0.012), block(0.012, seed=1)])
-    ids = np.repeat([0, 1], len(x) // 2).astype(np.uint8)
-    pressed = x - np.where(ids == 1, 0.012 - gap, 0.0)[:, None] * [1.0, 0.0, 0.0]
-    topology = DynamicCheck(pull_apart=MpmPullApart()).check(*record(x, pressed, ids=ids))
+    topology = DynamicCheck(pull_apart=MpmPullApart()).check(*pressed_blocks(gap))
     assert [f.num_components for f in topology.frames] == [2, 1 if merged else 2]
     check_contract(topology)
     if merged:
@@ -161,9 +102,9 @@ def test_missing_pull_apart_is_named() -> None:
 
 def test_torn_bar_is_a_split() -> None:
     """A bar whose halves move far apart is split, and the larger half keeps its label."""
-    x = bar()
-    far = x + np.where(x[:, 1:2] > 0.004, 0.012, 0.0) * [0.0, 1.0, 0.0]
-    topology = DynamicCheck().check(*record(x, x, far, far))
+    scene, particles = torn_bar()
+    x = particles.positions[0]
+    topology = DynamicCheck().check(scene, particles)
     assert [f.num_components for f in topology.frames] == [1, 1, 2, 2]
     assert [(e.frame, e.kind) for e in topology.events] == [(2, "split")]
     last = topology.frames[-1].labels
@@ -199,13 +140,7 @@ def test_crumbs_are_stray() -> None:
 
 def test_blade_through_a_ring_is_a_self_split() -> None:
     """A blade that goes right through one tube of a ring takes its handle: a self-split."""
-    x = ring()
-    slit = (x[:, 0] > 0) & (np.abs(x[:, 1]) < 0.006)
-    parted = x + np.where(slit, np.sign(x[:, 1]) * 0.0012, 0.0)[:, None] * [0.0, 1.0, 0.0]
-    scene, particles = record(*[x] * 5, *[parted] * 5)
-    particles.tool_poses.position[5:, 0] = [0.011, 0.0, 0.0]  # covers the tube at y = 0
-    scene = replace(scene, tools=(PRESETS["narrow"],))
-    topology = DynamicCheck(pull_apart=MpmPullApart()).check(scene, particles)
+    topology = DynamicCheck(pull_apart=MpmPullApart()).check(*sliced_ring())
     assert [f.genus for f in topology.frames] == [(1,)] * 5 + [(0,)] * 5
     assert [(e.frame, e.kind) for e in topology.events] == [(5, "self_split")]
     check_contract(topology)
