@@ -7,7 +7,7 @@ array that was written in another legal way is read by zarr-python instead.
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from math import ceil, prod
 from pathlib import Path
 from typing import Any, Literal
@@ -248,6 +248,15 @@ def _verified(data: bytes) -> bytes:
 
 
 def _decode(data: bytes, dtype: np.dtype, chunk: tuple[int, ...]) -> np.ndarray:
+    return np.frombuffer(_blosc().decompress(data), dtype, count=prod(chunk)).reshape(chunk)
+
+
+@cache
+def _blosc() -> Any:
+    """blosc on the calling thread alone: its own threads cost a fifth of a frame's CPU time more,
+    and would not survive a fork.
+    """
     from numcodecs import blosc  # pyright: ignore[reportAttributeAccessIssue] (compiled)
 
-    return np.frombuffer(blosc.decompress(data), dtype, count=prod(chunk)).reshape(chunk)
+    blosc.use_threads = False
+    return blosc

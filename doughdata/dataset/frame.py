@@ -15,7 +15,6 @@ from doughdata.dataset.layers import (
     decode_frame_topology,
     decode_label_grid,
     decode_meshes,
-    decode_tool_poses,
 )
 from doughschemas import (
     ComponentMesh,
@@ -68,7 +67,8 @@ class Frame:
         """Seconds since the start of the first action; of a recording, since its first frame."""
         base = self._dataset.base_layer(self.scene_index)
         sim = self._dataset.layer(base, self.scene_index)
-        return sim.table("frames").frame(*self._key)["timestamp"][0].as_py()
+        frames = sim.table("frames")
+        return float(frames.column("timestamp")[frames.frame_rows(*self._key).start])
 
     @cached_property
     def particles(self) -> FrameParticles:
@@ -76,11 +76,12 @@ class Frame:
         sim = self._dataset.layer("sim", self.scene_index)
         row = sim.rows.start(self.scene_index) + self.frame_index
         count = self._num_particles
-        scene = sim.table("scenes").scene(self.scene_index)
+        scenes = sim.table("scenes")
+        at = scenes.scene_rows(self.scene_index).start
         return FrameParticles(
             positions=sim.array("positions").row(row)[:count],
             object_ids=sim.array("object_ids").row(row)[:count],
-            spacing=scene["particle_spacing"][0].as_py(),
+            spacing=float(scenes.column("particle_spacing")[at]),
         )
 
     @cached_property
@@ -110,15 +111,16 @@ class Frame:
     def tools(self) -> FrameTools:
         """The gripper: which tool, and where both fingers are."""
         sim = self._dataset.layer("sim", self.scene_index)
-        poses = decode_tool_poses(sim, self.scene_index)
+        frames, poses = sim.table("frames"), sim.table("tool_poses")
+        at, here = frames.frame_rows(*self._key).start, poses.frame_rows(*self._key)
         scene = self._dataset.scene(self.scene_index)
-        action = int(poses.action[self.frame_index])
+        action = int(frames.column("action")[at])
         return FrameTools(
             tool=scene.tools[scene.actions[action].tool],
             action=action,
-            position=poses.position[self.frame_index],
-            quaternion=poses.quaternion[self.frame_index],
-            opening=float(poses.opening[self.frame_index]),
+            position=poses.column("position")[here].copy(),
+            quaternion=poses.column("quaternion")[here].copy(),
+            opening=float(frames.column("opening")[at]),
         )
 
     def depth(self, sensor: str) -> DepthViews:

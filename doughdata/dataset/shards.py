@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -75,6 +76,7 @@ class TableIndex:
     def __init__(self, table: pa.Table, *, num_frames: int) -> None:
         self.table = table
         self._frames = num_frames
+        self._columns: dict[str, Any] = {}
         scene = table["scene_index"].to_numpy().astype(np.int64)
         self._keys = scene * num_frames
         if "frame_index" in table.column_names:  # the table of scenes has none
@@ -82,15 +84,40 @@ class TableIndex:
 
     def frame(self, scene_index: int, frame_index: int) -> pa.Table:
         """Rows of one frame, in stored order."""
-        return self._between(scene_index * self._frames + frame_index, 1)
+        rows = self.frame_rows(scene_index, frame_index)
+        return self.table.slice(rows.start, rows.stop - rows.start)
 
     def scene(self, scene_index: int) -> pa.Table:
         """Rows of one scene, in stored order."""
+        rows = self.scene_rows(scene_index)
+        return self.table.slice(rows.start, rows.stop - rows.start)
+
+    def scene_rows(self, scene_index: int) -> slice:
+        """Where the rows of one scene lie in a `column`."""
         return self._between(scene_index * self._frames, self._frames)
 
-    def _between(self, key: int, length: int) -> pa.Table:
-        start, stop = np.searchsorted(self._keys, [key, key + length])
-        return self.table.slice(start, stop - start)
+    def frame_rows(self, scene_index: int, frame_index: int) -> slice:
+        """Where the rows of one frame lie in a `column`."""
+        return self._between(scene_index * self._frames + frame_index, 1)
+
+    def column(self, name: str) -> Any:
+        """A whole column, converted once: numbers as an array, vectors as (rows, length), ragged
+        lists and text as a list. Not to be written to.
+        """
+        if name not in self._columns:
+            column = self.table[name].combine_chunks()
+            if pa.types.is_fixed_size_list(column.type):
+                values: Any = column.flatten().to_numpy().reshape(-1, column.type.list_size)
+            elif pa.types.is_list(column.type) or pa.types.is_string(column.type):
+                values = column.to_pylist()
+            else:
+                values = column.to_numpy(zero_copy_only=False)
+            self._columns[name] = values
+        return self._columns[name]
+
+    def _between(self, key: int, length: int) -> slice:
+        start = int(self._keys.searchsorted(key))
+        return slice(start, int(self._keys.searchsorted(key + length)))
 
 
 class LayerShard:

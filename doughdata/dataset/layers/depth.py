@@ -7,7 +7,7 @@ import pyarrow as pa
 
 from doughdata.dataset.arrays import ArraySpec
 from doughdata.dataset.layers.columns import frame_columns, vectors
-from doughdata.dataset.shards import Encoded, LayerShard, ShardRows
+from doughdata.dataset.shards import Encoded, LayerShard, ShardRows, TableIndex
 from doughschemas import BadInputError, Camera, DepthViews, Intrinsics
 
 __all__ = ["decode_depth", "encode_depth"]
@@ -45,19 +45,19 @@ def encode_depth(views: Mapping[int, DepthViews], rows: ShardRows) -> Encoded:
 
 def decode_depth(shard: LayerShard, scene_index: int, frame_index: int | None = None) -> DepthViews:
     """Views of a scene or of one of its key frames; there may be none."""
-    index = shard.table("views")
+    index, depth = shard.table("views"), shard.array("depth")
     if frame_index is None:
-        table = index.scene(scene_index)
+        here = index.scene_rows(scene_index)
     else:
-        table = index.frame(scene_index, frame_index)
-    depth = shard.array("depth")
-    start = table["row"][0].as_py() if len(table) else 0
+        here = index.frame_rows(scene_index, frame_index)
+    count = here.stop - here.start
+    start = int(index.column("row")[here.start]) if count else 0
     return DepthViews(
-        depth=depth.rows(start, start + len(table)),
-        segments=shard.array("segments").rows(start, start + len(table)),
-        frame_index=table["frame_index"].to_numpy().copy(),
-        view_index=table["view_index"].to_numpy().copy(),
-        cameras=tuple(_camera(view) for view in table.to_pylist()),
+        depth=depth.rows(start, start + count),
+        segments=shard.array("segments").rows(start, start + count),
+        frame_index=index.column("frame_index")[here].copy(),
+        view_index=index.column("view_index")[here].copy(),
+        cameras=tuple(_camera(index, row) for row in range(here.start, here.stop)),
         depth_unit=float(depth.attributes["depth_unit"]),
     )
 
@@ -97,11 +97,11 @@ def _vectors(values: Sequence[Sequence[float]]) -> pa.FixedSizeListArray:
     return vectors(np.array(values, np.float64), np.float64)
 
 
-def _camera(view: Mapping) -> Camera:
-    x, y, z = view["position"]
-    i, j, k, w = view["quaternion"]
+def _camera(views: TableIndex, row: int) -> Camera:
+    x, y, z = views.column("position")[row].tolist()
+    i, j, k, w = views.column("quaternion")[row].tolist()
     return Camera(
-        intrinsics=Intrinsics(**{name: view[name] for name in INTRINSICS}),
+        intrinsics=Intrinsics(**{name: views.column(name)[row].item() for name in INTRINSICS}),
         position=(x, y, z),
         quaternion=(i, j, k, w),
     )

@@ -7,8 +7,8 @@ import numpy as np
 import pyarrow as pa
 
 from doughdata.dataset.arrays import ArraySpec, padded_length
-from doughdata.dataset.layers.columns import frame_columns, int_lists, vectors, vectors_array
-from doughdata.dataset.shards import Encoded, LayerShard, ShardRows
+from doughdata.dataset.layers.columns import frame_columns, int_lists, vectors
+from doughdata.dataset.shards import Encoded, LayerShard, ShardRows, TableIndex
 from doughschemas import STRAY, BadInputError, FrameTopology, SceneGraph, Topology, TopologyEvent
 
 __all__ = ["decode_frame_topology", "decode_topology", "encode_topology"]
@@ -51,20 +51,20 @@ def decode_frame_topology(
 ) -> FrameTopology:
     """Topology of one key frame, exactly as it was written."""
     key = (scene_index, frame_index)
-    frame = shard.table("frames").frame(*key)
-    nodes = shard.table("graph_nodes").frame(*key)
+    frames, nodes = shard.table("frames"), shard.table("graph_nodes")
+    at, here = frames.frame_rows(*key).start, nodes.frame_rows(*key)
     row = shard.rows.start(scene_index) + frame_index
     return FrameTopology(
         labels=shard.array("labels").row(row)[:num_particles].copy(),
-        genus=tuple(frame["genus"][0].as_py()),
+        genus=tuple(frames.column("genus")[at]),
         graph=SceneGraph(
-            positions=vectors_array(nodes["position"], 3, np.float32),
-            components=nodes["component"].to_numpy().astype(np.uint8),
-            particles=nodes["particles"].to_numpy().astype(np.int32),
-            edges=_pairs(shard.table("graph_edges").frame(*key)),
+            positions=nodes.column("position")[here].astype(np.float32),
+            components=nodes.column("component")[here].astype(np.uint8),
+            particles=nodes.column("particles")[here].astype(np.int32),
+            edges=_frame_pairs(shard.table("graph_edges"), key),
         ),
-        contacts=_pairs(shard.table("contacts").frame(*key)),
-        ambiguous_reason=frame["ambiguous_reason"][0].as_py(),
+        contacts=_frame_pairs(shard.table("contacts"), key),
+        ambiguous_reason=frames.column("ambiguous_reason")[at],
     )
 
 
@@ -170,6 +170,11 @@ def _bonds_table(topologies: Mapping[int, Topology]) -> pa.Table:
     ]
     table = _pairs_table(topologies, changes)
     return table.append_column("made", pa.array(np.concatenate(made).astype(bool)))
+
+
+def _frame_pairs(index: TableIndex, key: tuple[int, int]) -> np.ndarray:
+    here = index.frame_rows(*key)
+    return np.stack([index.column("a")[here], index.column("b")[here]], axis=1).astype(np.int32)
 
 
 def _pairs(table: pa.Table) -> np.ndarray:
