@@ -7,9 +7,12 @@ components that overlaps best (DoughNet, section 5.1).
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float64, Int
 from torch import Tensor
 
-__all__ = ["TopologyScore", "component_overlap", "score"]
+__all__ = ["UNASSIGNED", "TopologyScore", "component_overlap", "score"]
+
+UNASSIGNED = -1  # label of a sample that is dough but belongs to no component
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,10 +22,13 @@ class TopologyScore:
     volume_iou: float  # VIoU: occupied against empty, components ignored
     component_iou: float  # CIoU: mean over the true components under the best assignment
     right_count: bool  # AccC, before averaging
-    right_genus: bool  # AccG: all components' genera right under the same assignment
+    right_genus: bool  # AccG: the count and all components' genera right under that assignment
+    genus_share: float = 0.0  # true components that were found with their genus
 
 
-def component_overlap(predicted: Tensor, true: Tensor, *, count: tuple[int, int]) -> Tensor:
+def component_overlap(
+    predicted: Int[Tensor, " samples"], true: Int[Tensor, " samples"], *, count: tuple[int, int]
+) -> Float64[Tensor, "predicted true"]:
     """IoU of every pair of components, (predicted, true).
 
     Args:
@@ -30,38 +36,59 @@ def component_overlap(predicted: Tensor, true: Tensor, *, count: tuple[int, int]
         true: the same for the truth, (samples,).
         count: number of predicted and of true components.
     """
-    p = torch.stack([predicted == k for k in range(count[0])]).double()
-    t = torch.stack([true == k for k in range(count[1])]).double()
-    both = p @ t.T
-    return both / (p.sum(1)[:, None] + t.sum(1)[None, :] - both).clamp(min=1)
+    both = _table(predicted, true, count).double()
+    both, sizes = both[: count[0], : count[1]], (both.sum(dim=1), both.sum(dim=0))
+    either = sizes[0][: count[0], None] + sizes[1][None, : count[1]] - both
+    return both / either.clamp(min=1)
 
 
 def score(
-    predicted: Tensor, true: Tensor, *, predicted_genus: list[int], true_genus: list[int]
+    predicted: Int[Tensor, " samples"],
+    true: Int[Tensor, " samples"],
+    *,
+    predicted_genus: list[int],
+    true_genus: list[int],
 ) -> TopologyScore:
-    """All four metrics of one frame from labelled samples, (samples,) each.
+    """All metrics of one frame from labelled samples, (samples,) each.
 
-    A component is empty space when its label is not below the number of its genera.
+    A sample is empty space when its label is not below the number of the genera, and dough of no
+    component when it is negative: that counts for the volume alone.
     """
     count = (len(predicted_genus), len(true_genus))
-    occupied = (predicted < count[0], true < count[1])
-    union = (occupied[0] | occupied[1]).sum().item()
-    volume = (occupied[0] & occupied[1]).sum().item() / union if union else 1.0
+    dough = (predicted < count[0], true < count[1])
+    union = int((dough[0] | dough[1]).sum())
+    volume = int((dough[0] & dough[1]).sum()) / union if union else 1.0
     if min(count) == 0:
         same = count[0] == count[1]
         return TopologyScore(
-            volume_iou=volume, component_iou=float(same), right_count=same, right_genus=same
+            volume_iou=volume,
+            component_iou=float(same),
+            right_count=same,
+            right_genus=same,
+            genus_share=float(same),
         )
     overlap = component_overlap(predicted, true, count=count)
     pairs = _best_pairs(overlap)
-    component = sum(overlap[p, t].item() for p, t in pairs) / max(count)
-    genus = all(predicted_genus[p] == true_genus[t] for p, t in pairs)
+    right = [predicted_genus[p] == true_genus[t] for p, t in pairs]
     return TopologyScore(
         volume_iou=volume,
-        component_iou=component,
+        component_iou=sum(overlap[p, t].item() for p, t in pairs) / max(count),
         right_count=count[0] == count[1],
-        right_genus=genus and count[0] == count[1],
+        right_genus=all(right) and count[0] == count[1],
+        genus_share=sum(right) / count[1],
     )
+
+
+def _table(predicted: Tensor, true: Tensor, count: tuple[int, int]) -> Tensor:
+    """How many samples have each pair of labels; the last row and column are everything else."""
+
+    def clipped(labels: Tensor, most: int) -> Tensor:
+        labels = labels.long()
+        return torch.where((labels < 0) | (labels > most), most, labels)
+
+    pair = clipped(predicted, count[0]) * (count[1] + 1) + clipped(true, count[1])
+    counts = torch.bincount(pair, minlength=(count[0] + 1) * (count[1] + 1))
+    return counts.reshape(count[0] + 1, count[1] + 1)
 
 
 def _best_pairs(overlap: Tensor) -> list[tuple[int, int]]:

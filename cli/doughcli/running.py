@@ -31,19 +31,22 @@ def interruptible(command: Callable[..., Any]) -> Callable[..., Any]:
     return wrapped
 
 
-def run(program: Callable[[], Any], *, name: str) -> None:
-    """Run a program. Exit codes: 0 done, 1 something fell short, 2 bad usage, 130 interrupted."""
+def run(program: Callable[[], Any], *, name: str, go_on: str = "the same command goes on") -> None:
+    """Run a program. Exit codes: 0 done, 1 something fell short, 2 bad usage, 130 interrupted.
+
+    `go_on` tells how to take up interrupted work.
+    """
     try:
         program()
     except DoughError as error:
         _fail(name, str(error), BAD_USAGE if isinstance(error, BadInputError) else FELL_SHORT)
     except (_InterruptedError, KeyboardInterrupt):
-        _fail(name, "interrupted; what is saved is safe, the same command goes on", INTERRUPTED)
+        _fail(name, f"interrupted; what is saved is safe, {go_on}", INTERRUPTED)
     except BrokenPipeError:
         os._exit(FELL_SHORT)  # the reader of a pipe went away; nothing left to say
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        hint = "; free some space, the same command goes on" if full else ""
+        hint = f"; free some space, {go_on}" if full else ""
         _fail(name, f"{error.strerror or error}: {error.filename or ''}".rstrip(": ") + hint)
     except Exception as error:  # the last net: a defect of ours, told in one line
         if os.environ.get("DOUGHDATA_TRACEBACK"):
