@@ -47,7 +47,7 @@ format: setup
 	$(BIN)/ruff format .
 
 bench: setup
-	@for file in benchmarks/*.py; do $(BIN)/python $$file --json || exit 1; done
+	@for file in $$(grep -l __main__ benchmarks/*.py); do $(BIN)/python $$file --json || exit 1; done
 
 lock:
 	bash scripts/lock.sh

@@ -32,7 +32,10 @@ def command(
             print(problem)
         if len(found.problems) > MOST:
             print(f"... and {len(found.problems) - MOST} more")
-        figures = ", ".join(f"{key} {value}" for key, value in found.figures.items())
+        figures = ", ".join(
+            f"{key.replace('_', ' ')} {f'{value:.3g}' if isinstance(value, float) else value}"
+            for key, value in found.figures.items()
+        )
         print(f"{dataset}: {len(found.problems) or 'no'} problems; {figures}")
     if found.problems:
         raise typer.Exit(1)
