@@ -11,7 +11,12 @@ SHAPES = (
     *(f"recordings.{name}" for name in ("pairing", "rvl", "spooling", "table", "workspace")),
     *("sim.mpm", "sim.pull", "sim.solver", "sim.batch", "sim.script", "sim.scene_run"),
 )
-install_import_hook([f"doughdata.{name}" for name in SHAPES], "beartype.beartype")
+MODEL = (
+    *("attention", "features", "autoencoder", "dynamics", "folded", "hierarchical", "losses"),
+    *("metrics", "model", "lattice", "procedural", "augment", "evaluate"),
+)
+CHECKED = [*(f"doughdata.{name}" for name in SHAPES), *(f"doughnet.{name}" for name in MODEL)]
+install_import_hook(CHECKED, "beartype.beartype")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

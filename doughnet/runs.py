@@ -1,0 +1,168 @@
+"""Both stages from a dataset to a folder of weights, as the commands run them.
+
+OUT/autoencoder and OUT/dynamics hold what each stage leaves: weights.safetensors with config.json,
+training.pt (to resume), metrics.csv and tensorboard/.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from doughdata.torch import DoughDataset, DoughSequences
+from doughnet.config import preset
+from doughnet.data import EndlessBatches, LoaderConfig, class_weights, key_frames
+from doughnet.model import DoughNet
+from doughnet.stages import AutoencoderStage, DynamicsStage, Stage
+from doughnet.train import STATE, Budget, Fitted, Listener, TrainConfig, fit
+from doughnet.weights import load_weights
+from doughschemas import BadInputError, UnknownNameError
+
+__all__ = ["STAGES", "RunConfig", "find_weights", "train_stage"]
+
+STAGES = ("autoencoder", "dynamics")
+STEPS = 3  # key frames of a dynamics sample: two predictions
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunConfig:
+    """What a training reads, writes and how long it may take; `minutes` or `epochs`."""
+
+    dataset: str
+    out: Path
+    preset: str = "small"
+    sensor: str = "realsense"
+    split: str = "train"
+    minutes: float | None = None
+    epochs: int | None = None
+    resume: bool = False
+    loader: LoaderConfig = field(default_factory=LoaderConfig)
+    train: TrainConfig = field(default_factory=TrainConfig)
+
+
+def train_stage(
+    name: str, config: RunConfig, *, fabric: Any, listener: Listener | None = None
+) -> Fitted:
+    """Train one stage of a model on a dataset.
+
+    Raises:
+        UnknownNameError: no such stage or preset.
+        BadInputError: `out` holds a training already and it is not to be resumed; the dynamics
+            have no trained autoencoder to start from; not exactly one of minutes and epochs.
+        MissingLayerError: the dataset has no depth of that sensor.
+    """
+    if name not in STAGES:
+        raise UnknownNameError("stage", name, STAGES)
+    if (config.minutes is None) == (config.epochs is None):
+        raise BadInputError("give either minutes or epochs")
+    out = config.out / name
+    if (out / STATE).exists() and not config.resume:
+        raise BadInputError(f"{out} holds a training: --resume goes on, or give another --out")
+    torch.manual_seed(config.train.seed)
+    model, before = _model(name, config)
+    common: dict[str, Any] = {
+        "sensor": config.sensor,
+        "split": config.split,
+        "seed": config.loader.seed,
+    }
+    views = DoughDataset(config.dataset, **common)
+    frames = key_frames(views.source, config.sensor)
+    weights = class_weights(views.source, model.config, split=config.split, frames=frames)
+    stage: Stage
+    if name == "autoencoder":
+        data = DoughDataset(config.dataset, **common)  # every view that was rendered
+        stage = AutoencoderStage(model, class_weights=weights)
+    else:
+        data = _sequences(config.dataset, frames, common)
+        stage = DynamicsStage(model, class_weights=weights)
+    batches = EndlessBatches(
+        data, config.loader, rank=fabric.global_rank, world_size=fabric.world_size
+    )
+    return fit(
+        stage,
+        batches,
+        _budget(config, len(data) // fabric.world_size),
+        config=config.train,
+        fabric=fabric,
+        out=out,
+        resume=config.resume,
+        provenance=_provenance(name, config, data, frames, before),
+        listener=listener,
+    )
+
+
+def find_weights(folder: str | Path) -> Path:
+    """The last stage's weights in what a training left, or the folder itself.
+
+    Raises:
+        BadInputError: there are none.
+    """
+    path = Path(folder)
+    for candidate in (path, path / "dynamics", path / "autoencoder"):
+        if (candidate / "weights.safetensors").is_file():
+            return candidate
+    raise BadInputError(
+        f"{folder} holds no weights; train a model with `doughnet train autoencoder --out {folder}`"
+    )
+
+
+def _model(name: str, config: RunConfig) -> tuple[DoughNet, dict[str, Any]]:
+    """A new model, or for the dynamics the one whose autoencoder was trained."""
+    if name == "autoencoder":
+        return DoughNet(preset(config.preset)), {}
+    folder = config.out / "autoencoder"
+    if not folder.is_dir():
+        raise BadInputError(
+            f"{config.out} holds no trained autoencoder; begin with "
+            f"`doughnet train autoencoder --out {config.out}`"
+        )
+    weights = load_weights(folder)
+    return weights.model, {"autoencoder": dict(weights.provenance)}
+
+
+def _sequences(uri: str, frames: tuple[int, ...], common: Mapping[str, Any]) -> DoughSequences:
+    """Triples as far apart as the model's key frames, from every rendered key frame on."""
+    step = frames[1] - frames[0] if len(frames) > 1 else 1
+    if len(frames) < STEPS:
+        raise BadInputError(
+            f"{uri}: dynamics need {STEPS} key frames of a scene, {len(frames)} were rendered; "
+            "render more with `doughdata render --all-frames`"
+        )
+    source = DoughDataset(uri, **common)
+    every = source.rendered_frames
+    dense = every == tuple(range(every[0], every[-1] + 1))
+    chosen = {"frames": every, "stride": step} if dense else {"frames": frames}
+    return DoughSequences(uri, length=STEPS, **chosen, **common)
+
+
+def _budget(config: RunConfig, samples: int) -> Budget:
+    if config.epochs is not None:
+        return Budget(steps=config.epochs * max(1, samples // config.loader.batch_size))
+    return Budget(seconds=60 * (config.minutes or 0.0))
+
+
+def _provenance(
+    name: str,
+    config: RunConfig,
+    data: DoughDataset | DoughSequences,
+    frames: tuple[int, ...],
+    before: Mapping[str, Any],
+) -> dict[str, Any]:
+    """What is written beside the weights: enough to train them again."""
+    return {
+        "preset": config.preset if name == "autoencoder" else before["autoencoder"]["preset"],
+        "stage": name,
+        "data": {
+            "fingerprint": data.source.fingerprint,
+            "sensor": config.sensor,
+            "split": config.split,
+            "frames": list(frames),
+            "samples": len(data),
+        },
+        "budget": {"minutes": config.minutes, "epochs": config.epochs},
+        "batch_size": config.loader.batch_size,
+        "train": asdict(config.train),
+        **before,
+    }

@@ -1,0 +1,153 @@
+"""The two stages of training: first the autoencoder alone, then the dynamics on its frozen codes.
+
+A stage is a module whose `forward(batch)` gives the losses of a batch. A batch is a dictionary as
+`doughdata.torch` serves it; a dynamics batch has a second axis of frames.
+"""
+
+from typing import Protocol
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from doughnet.augment import Augmentation, augmented
+from doughnet.config import ModelConfig
+from doughnet.losses import IGNORED, latent_loss, shape_loss
+from doughnet.model import DoughNet
+
+__all__ = ["AutoencoderStage", "Batch", "DynamicsStage", "Stage", "genus_classes", "query_classes"]
+
+Batch = dict[str, Tensor]
+Losses = dict[str, Tensor]
+
+
+class Stage(Protocol):
+    """What the training loop needs to know."""
+
+    name: str
+    model: DoughNet
+
+    def __call__(self, batch: Batch, *, seed: int) -> Losses:
+        """Losses of a batch; `loss` is minimised, the others are logged."""
+        ...
+
+
+def query_classes(
+    labels: Int[Tensor, "*batch S"], num_components: Int[Tensor, "*batch"], *, components: int
+) -> Int[Tensor, "*batch S"]:
+    """Target mask of each query: K for empty space, IGNORED for components that have no mask."""
+    empty = labels >= num_components[..., None]
+    beyond = (labels >= components) & ~empty
+    return torch.where(beyond, IGNORED, torch.where(empty, components, labels))
+
+
+def genus_classes(
+    genus: Int[Tensor, "*batch most"], config: ModelConfig
+) -> Int[Tensor, "*batch K"]:
+    """Target class of each component from its genus, which is padded with -1."""
+    short = config.components - genus.shape[-1]
+    if short > 0:
+        genus = nn.functional.pad(genus, (0, short), value=-1)
+    genus = genus[..., : config.components]
+    return torch.where(genus < 0, config.empty_class, genus.clamp(max=config.max_genus))
+
+
+class AutoencoderStage(nn.Module):
+    """Complete and segment single views; the dynamics model is not touched."""
+
+    name = "autoencoder"
+    class_weights: Tensor | None
+
+    def __init__(
+        self,
+        model: DoughNet,
+        *,
+        genus_weight: float = 0.1,
+        class_weights: Float[Tensor, " classes"] | None = None,
+        augmentation: Augmentation | None = None,
+    ) -> None:
+        super().__init__()
+        self.model, self.genus_weight = model, genus_weight
+        self.augmentation = augmentation or Augmentation()
+        self.register_buffer("class_weights", class_weights, persistent=False)
+        model.dynamics.requires_grad_(False)
+        model.autoencoder.requires_grad_(True)
+
+    def forward(self, batch: Batch, *, seed: int) -> Losses:
+        """Losses of a batch of views."""
+        config = self.model.config
+        batch = augmented(batch, self.augmentation, seed=seed, components=config.components)
+        latents = self.model.encode(batch["points"], batch["point_labels"])
+        logits, genus = self.model.autoencoder.decoder(latents, batch["queries"])
+        labels = query_classes(
+            batch["query_labels"], batch["num_components"], components=config.components
+        )
+        loss = shape_loss(
+            logits,
+            labels,
+            genus,
+            genus_classes(batch["genus"], config),
+            genus_weights=self.class_weights,
+        )
+        total = loss.masks + self.genus_weight * loss.genus
+        return {"loss": total, "masks": loss.masks, "genus": loss.genus}
+
+
+class DynamicsStage(nn.Module):
+    """Predict latents two steps on, the second from the model's own first prediction.
+
+    The autoencoder is frozen but for the last layers of the genus head, which learn from encoded
+    and predicted latents alike. They come after the masks, so these stay what they were.
+    """
+
+    name = "dynamics"
+    class_weights: Tensor | None
+
+    def __init__(
+        self,
+        model: DoughNet,
+        *,
+        genus_weight: float = 0.1,
+        class_weights: Float[Tensor, " classes"] | None = None,
+        augmentation: Augmentation | None = None,
+    ) -> None:
+        super().__init__()
+        self.model, self.genus_weight = model, genus_weight
+        self.augmentation = augmentation or Augmentation(label_dropout=0.0)
+        self.register_buffer("class_weights", class_weights, persistent=False)
+        model.autoencoder.requires_grad_(False)
+        model.autoencoder.decoder.genus.requires_grad_(True)
+        model.dynamics.requires_grad_(True)
+
+    def forward(self, batch: Batch, *, seed: int) -> Losses:
+        """Losses of a batch of consecutive frames, (B, frames, ...)."""
+        config = self.model.config
+        batch = augmented(batch, self.augmentation, seed=seed, components=config.components)
+        frames = batch["points"].shape[:2]
+        with torch.no_grad():
+            true = self.model.encode(
+                batch["points"].flatten(0, 1), batch["point_labels"].flatten(0, 1)
+            ).unflatten(0, frames)
+        predicted = self.model.rollout(true[:, 0], batch["tool_points"])
+        # A frame in which the tool hides all dough tells nothing.
+        seen = (batch["point_labels"] >= 0).any(dim=2)
+        latent = latent_loss(predicted, true[:, 1:], seen=seen[:, 1:] & seen[:, :1])
+        genus = self._genus(batch, torch.cat([true[:, 1:], predicted], dim=0))
+        return {"loss": latent + self.genus_weight * genus, "latent": latent, "genus": genus}
+
+    def _genus(self, batch: Batch, latents: Float[Tensor, "B2 steps T D"]) -> Tensor:
+        """Cross-entropy of the genus head on given latents, which it does not change."""
+        config, decoder = self.model.config, self.model.autoencoder.decoder
+        queries = batch["queries"][:, 1:].repeat(2, 1, 1, 1).flatten(0, 1)
+        labels = query_classes(
+            batch["query_labels"], batch["num_components"], components=config.components
+        )[:, 1:]
+        classes = genus_classes(batch["genus"], config)[:, 1:]
+        logits, genus = decoder(latents.flatten(0, 1).detach(), queries)
+        return shape_loss(
+            logits.detach(),
+            labels.repeat(2, 1, 1).flatten(0, 1),
+            genus,
+            classes.repeat(2, 1, 1).flatten(0, 1),
+            genus_weights=self.class_weights,
+        ).genus

@@ -1,0 +1,146 @@
+"""What a user of `doughnet` types and what comes back, on the closed-form scenes."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from doughcli.net import app
+from doughschemas import BadInputError
+from tests.closed_form import cut_ring, joined_bars
+from tests.dataset_helpers import new_writer, write_examples
+from tests.integration.conftest import command
+
+PROGRAM = "import sys; from doughcli.net import main; sys.argv[0] = 'doughnet'; main()"
+HEAVY = ("torch", "taichi", "open3d", "zarr", "scipy", "pyarrow", "lightning_fabric")
+ROWS = {"reconstruction", "single_step", "full_sequence", "final", "copy_first_frame", "ceiling"}
+
+
+def doughnet(*arguments: object, cwd: Path, code: int = 0) -> subprocess.CompletedProcess[str]:
+    """Run `doughnet` as a user would and check its exit code."""
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *map(str, arguments)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "COLUMNS": "120", "OMP_NUM_THREADS": "1"},
+    )
+    assert done.returncode == code, f"{arguments}\n{done.stdout}\n{done.stderr}"
+    assert "Traceback" not in done.stderr
+    return done
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A dataset of two scenes of three key frames, all rendered."""
+    path = tmp_path_factory.mktemp("scenes") / "dough"
+    return write_examples(new_writer(path), [cut_ring(), joined_bars()]).uri
+
+
+@pytest.fixture(scope="module")
+def trained(scenes: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with both stages of `micro`, hardly trained."""
+    folder = tmp_path_factory.mktemp("trained")
+    common = ("--dataset", scenes, "--sensor", "none", "--out", "net", "--workers", 0, "--json")
+    first = doughnet(
+        "train", "autoencoder", "--preset", "micro", "--epochs", 2, *common, cwd=folder
+    )
+    assert json.loads(first.stdout)["steps"] > 0
+    doughnet("train", "dynamics", "--batch-size", 2, "--epochs", 2, *common, cwd=folder)
+    return folder / "net"
+
+
+def test_evaluate_prints_the_whole_table(trained: Path, scenes: str) -> None:
+    """`evaluate --json` prints one line with every row and column of the table, in percent."""
+    done = doughnet("evaluate", "--dataset", scenes, "--weights", trained, "--split", "train",
+                    "--sensor", "none",
+                    "--json", cwd=trained)  # fmt: skip
+    assert len(done.stdout.strip().splitlines()) == 1
+    table = json.loads(done.stdout)
+    assert table.keys() >= ROWS | {"inconsistent", "unlabelled"}
+    for name in ROWS:
+        assert table[name].keys() >= {"viou", "ciou", "accc", "accg", "balanced_accg"}
+        assert all(0 <= table[name][k] <= 100 for k in ("viou", "ciou", "accc", "balanced_accg"))
+    assert table["copy_first_frame"]["final_viou"] <= 100
+
+
+def test_predict_saves_a_page(trained: Path, scenes: str, tmp_path: Path) -> None:
+    """`predict` saves one self-contained page with three lanes and prints each frame's genera."""
+    where = ("--dataset", scenes, "--sensor", "none", "--weights", trained)
+    done = doughnet("predict", *where, "--scene", 1, "--save", "scene.html", "--json", cwd=tmp_path)
+    found = json.loads(done.stdout)
+    assert found["rolled_out"]
+    assert all(frame["true_genus"] for frame in found["frames"])
+    page = (tmp_path / "scene.html").read_text(encoding="utf-8")
+    assert "observation, prediction, truth" in page
+    assert "default-src 'none'" in page
+
+
+def test_predict_reconstructs_a_recording(trained: Path, tmp_path: Path) -> None:
+    """Of a converted recording, each frame is reconstructed from its own view, without a truth."""
+    cloud = Path(__file__).parents[1] / "data" / "recordings" / "dough_ring.ply"
+    command("convert", cloud, "--dataset", "real", cwd=tmp_path)
+    done = doughnet("predict", "--dataset", "real", "--weights", trained, "--save", "real.html",
+                    "--json", cwd=tmp_path)  # fmt: skip
+    found = json.loads(done.stdout)
+    assert not found["rolled_out"]
+    assert [frame["true_genus"] for frame in found["frames"]] == [None]
+    assert "from its own view" in (tmp_path / "real.html").read_text(encoding="utf-8")
+
+
+def test_resuming_is_asked_for(trained: Path, scenes: str) -> None:
+    """A training is not overwritten; --resume of a finished one does no step."""
+    where = ("--dataset", scenes, "--sensor", "none", "--out", trained, "--workers", 0)
+    common = ("train", "autoencoder", "--preset", "micro", *where, "--epochs", 2, "--json")
+    refused = doughnet(*common, cwd=trained, code=2)
+    assert "--resume goes on" in refused.stderr
+    before = (trained / "autoencoder" / "weights.safetensors").read_bytes()
+    doughnet(*common, "--resume", cwd=trained)
+    assert (trained / "autoencoder" / "weights.safetensors").read_bytes() == before
+
+
+def test_help_imports_nothing_heavy() -> None:
+    """`doughnet --help` loads none of the heavy packages, and every command has an example."""
+    code = (
+        "import sys; sys.argv = ['doughnet', '--help']\nfrom doughcli.net import app, main\n"
+        "try: main()\nexcept SystemExit: pass\n"
+        "assert all('xample' in c.epilog for c in app.registered_commands)\n"
+        f"print([name for name in {HEAVY!r} if name in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "evaluate" in done.stdout
+    assert done.stderr.strip() == "[]"
+
+
+BAD = {
+    "stage": (("train", "everything"), "unknown stage"),
+    "preset": (("train", "autoencoder", "--preset", "mikro"), "did you mean 'micro'"),
+    "budget": (("train", "autoencoder", "--epochs", "1", "--minutes", "1"), "either"),
+    "order": (("train", "dynamics", "--epochs", "1"), "doughnet train autoencoder"),
+    "weights": (("evaluate", "--weights", "nothing"), "holds no weights"),
+    "page": (("predict", "--save", "x.png"), ".html"),
+    "split": (("evaluate", "--split", "val"), "split must be"),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_bad_usage_is_told(
+    what: str, scenes: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A wrong name or a missing thing is an error that says what to do; nothing is made."""
+    arguments, message = BAD[what]
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(BadInputError, match=re.escape(message)):
+        app([*arguments, "--dataset", scenes, *(() if what == "page" else ("--sensor", "none"))])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_error_is_one_line(tmp_path: Path) -> None:
+    """What is told stands in one line on stderr, with exit code 2."""
+    done = doughnet("evaluate", "--weights", "nothing", cwd=tmp_path, code=2)
+    (line,) = done.stderr.strip().splitlines()
+    assert line.startswith("doughnet: nothing holds no weights")
