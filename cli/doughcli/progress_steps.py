@@ -1,4 +1,4 @@
-"""A bar per step on stderr, for work that says itself how far it is."""
+"""A bar per step on a terminal's stderr, for work that says itself how far it is."""
 
 from types import TracebackType
 
@@ -20,14 +20,16 @@ class StepBars:
     """Call it with (what is being done, how much is done, of how much)."""
 
     def __init__(self, *, quiet: bool = False) -> None:
+        console = Console(stderr=True, quiet=quiet)
         self._progress = Progress(
             TextColumn("{task.description:>18}"),
             BarColumn(),
             TaskProgressColumn(),
             TimeElapsedColumn(),
             TimeRemainingColumn(),
-            console=Console(stderr=True, quiet=quiet),
+            console=console,
             refresh_per_second=4,
+            disable=not console.is_terminal,  # a log wants the outcome alone
         )
         self._tasks: dict[str, TaskID] = {}
 

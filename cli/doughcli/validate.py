@@ -35,6 +35,7 @@ def command(
         figures = ", ".join(
             f"{key.replace('_', ' ')} {f'{value:.3g}' if isinstance(value, float) else value}"
             for key, value in found.figures.items()
+            if value is not None
         )
         print(f"{dataset}: {len(found.problems) or 'no'} problems; {figures}")
     if found.problems:
