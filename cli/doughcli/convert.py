@@ -218,4 +218,5 @@ def _report(done: "Conversion", recording: Path, *, as_json: bool) -> None:
         typer.echo(f"{recording.name}: {line}", err=True)
     scenes = ", ".join(str(index) for index in done.scenes[:8])
     more = f" and {len(done.scenes) - 8} more" if len(done.scenes) > 8 else ""
-    print(f"{recording.name}: {done.frames} key frames as scene {scenes}{more} of {done.dataset}")
+    frames = f"{done.frames} key frame" + ("" if done.frames == 1 else "s")
+    print(f"{recording.name}: {frames} as scene {scenes}{more} of {done.dataset}")

@@ -1,10 +1,11 @@
 """Contact sheet of recordings: colour, depth and segments of a few key frames each."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float64, UInt8
 
 from doughdata.registry import require_package
 from doughdata.view.panels import COLOURS
@@ -19,6 +20,7 @@ CELL = (2.2, 1.65)  # [inch]
 HEAD, SIDE = 0.5, 0.62  # [inch]
 FLAT = {SEGMENT_TABLE: (0.86, 0.84, 0.79), SEGMENT_TOOL: (0.36, 0.39, 0.44)}
 NOTHING = (1.0, 1.0, 1.0)
+SPARSE = 0.2  # share of pixels with depth below which a view is one of scattered points
 
 
 class RecordedDataset(Protocol):
@@ -69,17 +71,45 @@ def _columns(dataset: RecordedDataset, index: int) -> list[tuple[float, Any, Any
         frame = dataset.frame(scene=index, frame=number)
         views, color = frame.depth(SENSOR), frame.color()
         depth = views.depth[0] * views.depth_unit
-        columns.append(
-            (frame.timestamp, None if color is None else color[0], depth, views.segments[0])
-        )
+        images = (None if color is None else color[0], depth, views.segments[0])
+        columns.append((frame.timestamp, *_gathered(*images)))
     return columns
+
+
+def _gathered(
+    color: UInt8[np.ndarray, "rows columns 3"] | None,
+    depth: Float64[np.ndarray, "rows columns"],
+    segments: UInt8[np.ndarray, "rows columns"],
+) -> tuple[Any, Any, Any]:
+    """A view as it is; of the scattered pixels of a cloud, squares that hold one or two each."""
+    seen = depth > 0
+    if seen.mean() > SPARSE or not seen.any():
+        return color, depth, segments
+    size = math.ceil(1.3 / math.sqrt(seen.mean()))
+    rows, columns = (np.flatnonzero(seen.any(axis=axis)) // size for axis in (1, 0))
+    place = tuple(index // size for index in np.nonzero(seen))
+    place = (place[0] - rows[0], place[1] - columns[0])
+    shape = (int(rows[-1] - rows[0]) + 1, int(columns[-1] - columns[0]) + 1)
+    counts, sums = np.zeros(shape), np.zeros(shape)
+    np.add.at(counts, place, 1)
+    np.add.at(sums, place, depth[seen])
+    most = np.zeros(shape, np.uint8)
+    np.maximum.at(most, place, segments[seen])
+    some = np.maximum(counts, 1)
+    if color is None:
+        return None, sums / some, most
+    colors = np.zeros((*shape, 3))
+    np.add.at(colors, place, color[seen])
+    colors[counts == 0] = 255
+    return (colors / some[..., None]).astype(np.uint8), sums / some, most
 
 
 def _title(dataset: RecordedDataset, index: int) -> str:
     table = dataset.scenes
     place = table["scene_index"].to_pylist().index(index)
     name, total = (table[column][place].as_py() for column in ("scene_id", "num_frames"))
-    return f"scene {index}  \N{MIDDLE DOT}  {name}  \N{MIDDLE DOT}  recorded, {total} key frames"
+    count = f"{total} key frame" + ("" if total == 1 else "s")
+    return f"scene {index}  \N{MIDDLE DOT}  {name}  \N{MIDDLE DOT}  recorded, {count}"
 
 
 def _draw_block(figure: Any, title: str, columns: Sequence[tuple], top: float) -> None:
@@ -107,12 +137,12 @@ def _draw_block(figure: Any, title: str, columns: Sequence[tuple], top: float) -
             if row == 0:
                 axes.set_title(f"{time:.2f} s", fontsize=7.5, pad=2)
             if name == "colour":
-                axes.imshow(color)
+                axes.imshow(color, interpolation="nearest")
             elif name == "depth":
                 shown = np.ma.masked_equal(depth, 0)
-                axes.imshow(shown, cmap="viridis_r", vmin=low, vmax=high)
+                axes.imshow(shown, cmap="viridis_r", vmin=low, vmax=high, interpolation="nearest")
             else:
-                axes.imshow(segment_colours(segments))
+                axes.imshow(segment_colours(segments), interpolation="nearest")
 
 
 def _has(columns: Sequence[tuple], name: str) -> bool:
