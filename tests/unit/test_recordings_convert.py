@@ -5,13 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer as BagWriter
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as FolderWriter
 
 from doughdata.dataset import open_dataset, validate
 from doughdata.geometry import quaternion_to_matrix
-from doughdata.recordings.bag import Bag
 from doughdata.recordings.colour import colour_range
 from doughdata.recordings.errors import RecordingError
 from doughdata.recordings.mcap import Mcap
@@ -27,8 +23,6 @@ from tests.recordings_made import (
     DEPTH,
     LENS,
     RADIUS,
-    ROS1,
-    ROS2,
     Recording,
     rolls_picture,
     write_foxglove,
@@ -39,9 +33,9 @@ PICTURE = rolls_picture()
 ROLLS = ProcessingConfig(expect="rolls")
 
 
-def convert(path, dataset, converter=None, **options):
+def convert(path, dataset, **options):
     """Convert and open the dataset."""
-    done = (converter or Mcap()).convert(path, str(dataset), **options)
+    done = Mcap().convert(path, str(dataset), **options)
     return done, open_dataset(dataset)
 
 
@@ -334,57 +328,6 @@ def test_fewer_frames_on_request(tmp_path, options, frames):
     assert done.frames == frames
     times = opened.frames["timestamp"].to_numpy()
     assert times[-1] == pytest.approx(4 / 30, abs=1e-6)
-
-
-def write_bag(path, recording):
-    """A ROS 1 bag by rosbags."""
-    with BagWriter(path) as writer:
-        made = {}
-        for topic, kind, at, message in recording.messages(ROS1):
-            if topic not in made:
-                made[topic] = writer.add_connection(topic, kind, typestore=ROS1)
-            writer.write(made[topic], at, ROS1.serialize_ros1(message, kind))
-    return path
-
-
-def write_folder(path, recording, plugin):
-    """A rosbag2 folder by rosbags."""
-    with FolderWriter(path, version=9, storage_plugin=plugin) as writer:
-        made = {}
-        for topic, kind, at, message in recording.messages(ROS2):
-            if topic not in made:
-                made[topic] = writer.add_connection(topic, kind, typestore=ROS2)
-            writer.write(made[topic], at, ROS2.serialize_cdr(message, kind))
-    return path
-
-
-@pytest.mark.parametrize("kind", ["bag", "sqlite3", "mcap"])
-def test_bags_give_what_mcap_gives(tmp_path, kind):
-    """A .bag file and rosbag2 folders of both storages give the same images as one MCAP file."""
-    recording = Recording(color="bgr8")
-    if kind == "bag":
-        path = write_bag(tmp_path / "a.bag", recording)
-    else:
-        path = write_folder(tmp_path / "a", recording, StoragePlugin[kind.upper()])
-    assert Bag().takes(path)
-    assert not Mcap().takes(path)
-    _, bag = convert(path, tmp_path / "b", Bag())
-    _, plain = convert(write_mcap(tmp_path / "a.mcap", recording), tmp_path / "m")
-    for frame in range(3):
-        a, b = bag.frame(scene=0, frame=frame), plain.frame(scene=0, frame=frame)
-        assert np.array_equal(a.color(), b.color())
-        assert np.array_equal(a.depth("recorded").depth, b.depth("recorded").depth)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.4, 0.9])
-def test_a_cut_bag_is_refused(tmp_path, share):
-    """A bag that was cut short is refused in one line, and nothing is left behind."""
-    path = write_bag(tmp_path / "a.bag", Recording())
-    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
-    with pytest.raises(DoughError) as error:
-        Bag().convert(path, str(tmp_path / "d"))
-    assert "\n" not in str(error.value)
-    assert not (tmp_path / "d").exists()
 
 
 def test_a_folder_with_something_else_is_not_touched(tmp_path):
