@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from doughdata.scenes.sampling import between, sample_action, sample_scene
-from doughschemas import Action, Body, Scene, Tool
+from doughdata.scenes.sampling import Draft, between, sample_action, sample_scene
+from doughschemas import Action, Body, Scene
 
 __all__ = ["SingleBall"]
 
@@ -26,6 +26,6 @@ def _bodies(scale: float, rng: np.random.Generator) -> tuple[Body, ...]:
     return (Body(shape="ball", parameters=parameters),)
 
 
-def _action(bodies: tuple[Body, ...], tool: Tool, rng: np.random.Generator) -> Action:
-    reach = 0.6 * float(bodies[0].parameters["radius"])
-    return sample_action(tool, rng, reach=(reach, reach), yaw=np.pi, opening=0.018)
+def _action(draft: Draft, rng: np.random.Generator) -> Action:
+    reach = 0.6 * float(draft.bodies[0].parameters["radius"])
+    return sample_action(draft.tool, rng, reach=(reach, reach), yaw=np.pi, opening=0.018)

@@ -4,16 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from doughdata.scenes.sampling import VISE, between, sample_action, sample_scene
-from doughschemas import Action, Body, Scene, Tool
+from doughdata.scenes.sampling import Draft, between, sample_action, sample_scene
+from doughschemas import Action, Body, Scene
 
 __all__ = ["Doughnut"]
 
 
 # Squeezes anywhere on a ring mostly cut its tube. A figure eight (g = 2) and two rings need fingers
 # that meet in the middle of the hole, and the eight an opening at which the walls merge and hold.
-SHARE_CENTRED, OFF_CENTRE = 0.5, 0.15  # of the scenes; of the ring's radius
-SHARE_PINCHED, PINCH = 0.5, (0.004, 0.008)  # of the centred ones; final opening [m]
+# On a floured table the walls come together; on a bare one the fingers plough through them.
+CENTRED, CENTRED_FLOURED, OFF_CENTRE = 0.5, 0.75, 0.15  # of the scenes; of the ring's radius
+PINCHED, PINCHED_FLOURED, PINCH = 0.5, 0.75, (0.004, 0.008)  # of the centred; final opening [m]
 
 
 class Doughnut:
@@ -36,11 +37,12 @@ def _bodies(scale: float, rng: np.random.Generator) -> tuple[Body, ...]:
     return (Body(shape="ring", parameters=parameters),)
 
 
-def _action(bodies: tuple[Body, ...], tool: Tool, rng: np.random.Generator) -> Action:
-    radius = float(bodies[0].parameters["ring_radius"])
-    centred = rng.random() < SHARE_CENTRED
+def _action(draft: Draft, rng: np.random.Generator) -> Action:
+    radius = float(draft.bodies[0].parameters["ring_radius"])
+    centred = rng.random() < (CENTRED if draft.bare else CENTRED_FLOURED)
     reach = OFF_CENTRE * radius if centred else radius
-    action = sample_action(tool, rng, reach=(reach, reach), yaw=np.pi / 2, opening=0.016)
-    if centred and tool.width < VISE and rng.random() < SHARE_PINCHED:
+    action = sample_action(draft.tool, rng, reach=(reach, reach), yaw=np.pi / 2, opening=0.016)
+    pinched = rng.random() < (PINCHED if draft.bare else PINCHED_FLOURED)
+    if centred and pinched and draft.cutter:
         return replace(action, opening_end=between(*PINCH, rng.random()))
     return action

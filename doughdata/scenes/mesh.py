@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from doughdata.geometry import matrix_to_quaternion, rotation_vector_to_matrix
-from doughdata.scenes.sampling import between, sample_action, sample_scene
+from doughdata.scenes.sampling import Draft, between, sample_action, sample_scene
 from doughdata.scenes.shapes.mesh import body_mesh, mesh_digest
-from doughschemas import Action, Body, Scene, SceneError, Tool
+from doughschemas import Action, Body, Scene, SceneError
 
 __all__ = ["MeshBodies"]
 
@@ -77,5 +77,5 @@ def _body(file: str, sizes: tuple[float, float], scale: float, rng: np.random.Ge
     )
 
 
-def _action(_: tuple[Body, ...], tool: Tool, rng: np.random.Generator) -> Action:
-    return sample_action(tool, rng, reach=(0.012, 0.012), yaw=np.pi, opening=0.018)
+def _action(draft: Draft, rng: np.random.Generator) -> Action:
+    return sample_action(draft.tool, rng, reach=(0.012, 0.012), yaw=np.pi, opening=0.018)

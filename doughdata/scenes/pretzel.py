@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from doughdata.scenes.sampling import between, sample_action, sample_scene
-from doughschemas import Action, Body, Scene, Tool
+from doughdata.scenes.sampling import Draft, between, sample_action, sample_scene
+from doughschemas import Action, Body, Scene
 
 __all__ = ["Pretzels"]
 
@@ -29,8 +29,8 @@ def _bodies(scale: float, rng: np.random.Generator) -> tuple[Body, ...]:
     return (Body(shape="pretzel", parameters=parameters),)
 
 
-def _action(bodies: tuple[Body, ...], tool: Tool, rng: np.random.Generator) -> Action:
-    parameters = bodies[0].parameters
+def _action(draft: Draft, rng: np.random.Generator) -> Action:
+    parameters = draft.bodies[0].parameters
     radius = float(parameters["ring_radius"])
     along = radius * (float(parameters["holes"]) - 0.5)
-    return sample_action(tool, rng, reach=(radius, along), yaw=np.radians(30), opening=0.016)
+    return sample_action(draft.tool, rng, reach=(radius, along), yaw=np.radians(30), opening=0.016)

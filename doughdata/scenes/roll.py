@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from doughdata.scenes.sampling import between, sample_action, sample_scene
-from doughschemas import Action, Body, Scene, Tool
+from doughdata.scenes.sampling import Draft, between, sample_action, sample_scene
+from doughschemas import Action, Body, Scene
 
 __all__ = ["SingleRoll"]
 
@@ -27,6 +27,8 @@ def _bodies(scale: float, rng: np.random.Generator) -> tuple[Body, ...]:
     return (Body(shape="roll", parameters=parameters),)
 
 
-def _action(bodies: tuple[Body, ...], tool: Tool, rng: np.random.Generator) -> Action:
-    length = float(bodies[0].parameters["length"])
-    return sample_action(tool, rng, reach=(0.010, 0.35 * length), yaw=np.radians(45), opening=0.015)
+def _action(draft: Draft, rng: np.random.Generator) -> Action:
+    length = float(draft.bodies[0].parameters["length"])
+    return sample_action(
+        draft.tool, rng, reach=(0.010, 0.35 * length), yaw=np.radians(45), opening=0.015
+    )

@@ -1,7 +1,7 @@
 """What the sampled families share: tools, in-plane poses, final openings, clearances."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from doughdata.scenes.tools import PRESETS
 from doughdata.seeds import seed_sequence
 from doughschemas import Action, Body, Scene, SceneError, Tool
 
-__all__ = ["between", "sample_action", "sample_scene", "sample_tool"]
+__all__ = ["Draft", "between", "sample_action", "sample_scene", "sample_tool"]
 
 # Finger width [m] at tool scale 0 and 1: from a 3 mm blade to a 100 mm vise.
 TOOL_WIDTHS = {"narrow": (0.003, 0.0045), "regular": (0.007, 0.014), "wide": (0.060, 0.100)}
@@ -20,12 +20,32 @@ CUTTER_DEPTH = 0.050  # [m]; two rolls of the largest size lie within 46 mm of t
 # (the authors' value). On the first, fingers push pieces together; on the second they cut them.
 # At 0.2 a pinched ring becomes a figure eight for any jitter of its particles; at 0.5 it stands on
 # a knife's edge between that and being sliced.
-TABLE_FRICTIONS = (0.2, 8.0)
+FLOURED, BARE = 0.2, 8.0
 VISE = 0.030  # [m]; fingers wider than this cannot cut
+CUTS = 0.5  # share of the final openings of blades and fingers that are meant to cut
 # Fingers hold for a sixth of the time that they took to close, so that the result is there at key
 # frame 64 of 75 and lasts: the last training frame is 65.
 HOLD = 1 / 6
 ATTEMPTS = 200
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Draft:
+    """What is drawn before the action, which may depend on it."""
+
+    bodies: tuple[Body, ...]
+    tool: Tool
+    table_friction: float
+
+    @property
+    def bare(self) -> bool:
+        """Whether the table holds the dough."""
+        return self.table_friction == BARE
+
+    @property
+    def cutter(self) -> bool:
+        """Whether the fingers are narrow enough to cut."""
+        return self.tool.width <= VISE
 
 
 def between(low: float, high: float, u: float) -> float:
@@ -51,16 +71,18 @@ def sample_action(
     reach: tuple[float, float],
     yaw: float,
     opening: float,
+    cuts: float = CUTS,
 ) -> Action:
     """A squeeze from 100 mm at an in-plane pose within `reach` [m] and `yaw` [rad].
 
-    Half of the final openings of blades and fingers lie within 0.5-1 mm (cuts), half between 2 mm
-    and `opening` [m]: dough that is squeezed to 1.5 mm and more mostly holds together. A vise
-    leaves at least 8 mm: under it dough, which cannot escape, would be compressed by some per cent.
+    The share `cuts` of the final openings of blades and fingers lies within 0.5-1 mm, the rest
+    between 2 mm and `opening` [m]: dough that is squeezed to 1.5 mm and more mostly holds together.
+    A vise leaves at least 8 mm: under it dough, which cannot escape, would be compressed by some
+    per cent.
     """
     if tool.width > VISE:
         end = rng.uniform(0.008, opening)
-    elif rng.random() < 0.5:
+    elif rng.random() < cuts:
         end = rng.uniform(0.0005, 0.001)
     else:
         end = rng.uniform(0.002, opening)
@@ -81,7 +103,7 @@ def sample_scene(
     number: int,
     split: str,
     bodies: Callable[[float, np.random.Generator], tuple[Body, ...]],
-    action: Callable[[tuple[Body, ...], Tool, np.random.Generator], Action],
+    action: Callable[[Draft, np.random.Generator], Action],
     label: str | None = None,
 ) -> Scene:
     """Draw region, scales, bodies, tool, table, action; poses that start inside a body are redrawn.
@@ -92,7 +114,7 @@ def sample_scene(
     region = sample_region(split, rng)
     made = bodies(sample_scale(region, rng), rng)
     tool = sample_tool(sample_scale(region, rng), rng)
-    table_friction = float(rng.choice(TABLE_FRICTIONS))
+    draft = Draft(bodies=made, tool=tool, table_friction=float(rng.choice((FLOURED, BARE))))
     for _ in range(ATTEMPTS):
         scene = Scene(
             scene_id=f"{label or family}-{split}-s{seed}-{number:06d}",
@@ -102,8 +124,8 @@ def sample_scene(
             region=region,
             bodies=made,
             tools=(tool,),
-            actions=(_held(action(made, tool, rng)),),
-            table_friction=table_friction,
+            actions=(_held(action(draft, rng)),),
+            table_friction=draft.table_friction,
         )
         try:
             return check_scene(scene)

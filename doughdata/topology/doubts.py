@@ -77,18 +77,22 @@ def _near_threshold(decisions: Sequence[Decision]) -> list[str]:
 def _unexplained(frames: Sequence[FrameTopology], states: Sequence[FrameState]) -> list[int]:
     """Key frames with handles that came without a merge within one piece, until they go again.
 
-    Such a handle is a misread crease or pore, or a merge that the pull tests missed.
+    Such a handle is a misread crease or pore, or a merge that the pull tests missed. One that they
+    find within the next few key frames explains it from then on.
     """
-    found, owed = [], 0
+    found: list[int] = []
+    owed: list[int] = []  # the key frame in which each unexplained handle came
     for frame in range(1, len(frames)):
         explained = sum(state.loops for state in states[max(0, frame - LATE) : frame + 1])
+        if states[frame].loops:
+            owed = [came for came in owed if frame - came > LATE]
         for old, new in groups(frames[frame - 1], frames[frame]):
             gain = sum(frames[frame].genus[k] for k in new)
             gain -= sum(frames[frame - 1].genus[k] for k in old)
             if gain > 0 and explained == 0:
-                owed += gain
+                owed += [frame] * gain
             elif gain < 0:
-                owed = max(0, owed + gain)
+                owed = owed[:gain]
         if owed:
             found.append(frame)
     return found

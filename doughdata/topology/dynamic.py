@@ -11,6 +11,7 @@ from doughdata.topology.doubts import timed_events, with_doubts
 from doughdata.topology.genus import Shape, read_shapes, scene_graph
 from doughdata.topology.history import FrameState, History
 from doughdata.topology.pairs import decode
+from doughdata.topology.readings import LoopWindow
 from doughdata.topology.record import bond_changes
 from doughdata.topology.static import StaticConfig, static_genus
 from doughdata.topology.tracking import (
@@ -29,7 +30,7 @@ class DynamicConfig:
     """Thresholds of the dynamic check; lengths in particle spacings unless a unit is given.
 
     Chosen at 2 mm: on hand-made scenes, among them the half `tuning` of the truth table in
-    `benchmarks/`, and `closing_radii` on sampled scenes of seed 7.
+    `benchmarks/`, and those of loops on pinched rings with holes of 3 to 8 mm.
     """
 
     reach: float = 3.0  # pairs up to this long are bonded or in contact
@@ -55,7 +56,9 @@ class DynamicConfig:
     grown: float = 1.3  # a patch is tested again when it has grown by this factor
     closer: float = 0.05  # or when its gap has closed by this much ...
     closer_far: float = 0.1  # ... and a neck far from the threshold by this share
-    closing_radii: tuple[float, ...] = (2.0, 2.25)  # the first gives the genus, all must agree
+    loop_birth: float = 1.0  # radius of balls around particles that close a hole's rim
+    loop_death: float = 1.55  # and that fill the hole: 6 mm across at 2 mm spacing
+    loop_doubt: float = 0.1  # a hole that other radii, so much off, do not have is unsure
     crumb_share: float = 0.02  # of all particles; a smaller piece is a crumb ...
     crumb_volume: float = 0.8e-6  # [m3] ... if it is also smaller than this
     static: StaticConfig = field(default_factory=StaticConfig)  # of the static check beside it
@@ -89,8 +92,13 @@ class DynamicCheck:
             [decode(state.bonds, len(particles.object_ids)) for state in states],
             [state.contacts for state in states],
             loops=[state.loops for state in states],
+            changed=[state.changed for state in states],
             spacing=particles.spacing,
-            radii=self.config.closing_radii,
+            window=LoopWindow(
+                birth=self.config.loop_birth,
+                death=self.config.loop_death,
+                doubt=self.config.loop_doubt,
+            ),
         )
         frames = tuple(
             _frame(x, own, shape, state)

@@ -1,9 +1,10 @@
-"""Genus and scene graph of every component in every key frame, from its solid.
+"""Genus and scene graph of every component in every key frame.
 
-A genus is read at few key frames and only looked at more closely where two readings differ. A
-reading speaks for a range of genus: unmerged contacts are kept open by walls, which may open a loop
-but make no handle, so that the truth is not above what is read with walls, nor below what is read
-both with and without them. It changes when a reading is firm (one value, for all closing radii) and
+A genus is the number of loops that last while balls around the particles grow. It is read at few
+key frames and only looked at more closely where two readings differ. A reading speaks for a range
+of genus: unmerged contacts are kept open by walls, which may open a loop but make no handle, so
+that the truth is not above what is read with walls, nor below what is read both with and without
+them. It changes when a reading is firm (one value, also for holes a little smaller or larger) and
 lasts for four key frames or to the end of the scene; it grows only if something was merged within
 one piece: a cut takes handles away, and none comes from nothing. Else the genus before stays. A key
 frame is unsure if its readings exclude its genus.
@@ -17,10 +18,10 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 from scipy.spatial import KDTree
 
+from doughdata.topology.readings import LoopWindow, Reading, read_component, solid_with
 from doughdata.topology.runs import refine, runs_of
 from doughdata.topology.skeletons import Skeleton, cycle_rank, skeleton_of
-from doughdata.topology.solids import Closing, Solid, solid_genus
-from doughdata.topology.walls import find_walls
+from doughdata.topology.solids import Solid
 from doughschemas import SceneGraph
 
 __all__ = ["Shape", "read_shapes", "scene_graph"]
@@ -41,19 +42,6 @@ class Shape:
     parted: bool = False  # a loop is open only because unmerged contacts are kept open
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Reading:
-    """What was read from the solids of one component in one key frame."""
-
-    genus: int  # with walls, of the first closing radius
-    lowest: int  # what the readings leave of the genus
-    highest: int
-    walled: bool  # there are walls: something was cut, or touches without being merged
-    parted: bool  # without walls there would be more handles
-    firm: bool  # one value for all closing radii, and no handle that only walls make
-    solid: Solid
-
-
 class _Track:
     """One component while it stays the same: key frames `first` to `last`."""
 
@@ -67,32 +55,39 @@ class _Track:
         contacts: Sequence[Int64[np.ndarray, "_ 2"]],
         *,
         loops: Sequence[int],
+        changed: Sequence[bool],
         spacing: float,
-        radii: tuple[float, ...],
+        window: LoopWindow,
     ) -> None:
         self.label, self.first, self.members = label, first, members
         self.last = first + len(members) - 1
-        self.positions, self.spacing, self.radii = positions, spacing, radii
-        self.bonds, self.contacts, self.loops = bonds, contacts, loops
-        self.readings: dict[int, _Reading] = {}
+        self.positions, self.spacing, self.window = positions, spacing, window
+        self.bonds, self.contacts = bonds, contacts
+        self.loops, self.changed = loops, changed
+        self.readings: dict[int, Reading] = {}
 
     def shapes(self) -> list[Shape]:
         """The shape in every key frame of the track."""
-        members = self.members[0]
         refine(
             self.first,
             self.last,
-            lambda frame: self._read(frame).genus,
-            self.positions[:, members],
-            STILL * self.spacing,
+            lambda frame: self._read(frame).range,
+            self._settled,
         )
         genus, steady = self._settle()
         return self._shapes(genus, steady)
 
+    def _settled(self, low: int, high: int) -> bool:
+        """Whether the genus cannot have changed, and come back, between two key frames.
+
+        What touches without being merged changes nothing.
+        """
+        return self._moved(low, high) < STILL or not any(self.changed[low + 1 : high + 1])
+
     def _at(self, frame: int, members: Int64[np.ndarray, " _"]) -> Float64[np.ndarray, "_ 3"]:
         return np.asarray(self.positions[frame][members], dtype=np.float64)
 
-    def _read(self, frame: int) -> _Reading:
+    def _read(self, frame: int) -> Reading:
         if frame not in self.readings:
             members = self.members[frame - self.first]
             inside = np.zeros(self.positions.shape[1], dtype=bool)
@@ -101,30 +96,8 @@ class _Track:
                 np.searchsorted(members, pairs[inside[pairs].all(axis=1)])
                 for pairs in (self.bonds[frame], self.contacts[frame])
             )
-            x = self._at(frame, members)
-            closing = Closing(x, self.spacing, largest=max(self.radii))
-            solids = [closing.solid(radius) for radius in self.radii]
-            walls = find_walls(
-                x,
-                bonds,
-                contacts,
-                closing.gaps(solids[int(np.argmax(self.radii))]),
-                spacing=self.spacing,
-                voxel=closing.size,
-                widest=2 * max(self.radii) * self.spacing,
-            )
-            closed, solids = solids, closing.opened(solids, walls)
-            genus = [solid_genus(solid.inside) for solid in solids]
-            filled = [solid_genus(own.inside) for own in closed] if len(walls) else genus
-            least = [min(pair) for pair in zip(genus, filled, strict=True)]
-            self.readings[frame] = _Reading(
-                genus=genus[0],
-                lowest=max(least),
-                highest=min(genus),
-                walled=len(walls) > 0,
-                parted=filled[0] > genus[0],
-                firm=len({*genus, *least}) == 1,
-                solid=solids[0],
+            self.readings[frame] = read_component(
+                self._at(frame, members), bonds, contacts, self.spacing, self.window
             )
         return self.readings[frame]
 
@@ -147,7 +120,7 @@ class _Track:
         value = min(genus[: kept[0]] if kept else genus)
         settled: list[int] = []
         for low, high in spans:
-            if self._holds(low, high) and (genus[low] < value or self._may_grow(low, high)):
+            if self._holds(low, high, value) and (genus[low] < value or self._may_grow(low, high)):
                 value = genus[low]
             settled += [value] * (high - low)
         sure = [
@@ -163,19 +136,18 @@ class _Track:
 
     def _fits(self, frame: int, genus: int) -> bool:
         """Whether the reading of a key frame leaves this genus possible."""
-        reading, offset = self.readings[frame], frame - self.first
-        # In dough that is nowhere cut and has not merged, a handle that a wider closing fills is a
-        # pore.
-        closed = not reading.walled and not self._may_grow(max(offset, 1), offset + 1)
-        pores = closed and not reading.firm
-        return genus <= reading.highest and (pores or reading.lowest <= genus)
+        reading = self.readings[frame]
+        return reading.lowest <= genus <= reading.highest
 
-    def _holds(self, low: int, high: int) -> bool:
-        """Whether a span of equal readings is firm somewhere, and no flicker."""
+    def _holds(self, low: int, high: int, genus: int | None = None) -> bool:
+        """Whether a span of equal readings is no flicker, and firm or without room for `genus`."""
         # The last key frames of the scene have no later ones to judge them.
         ends = self.first + high == len(self.positions)
-        readings = [self.readings.get(self.first + k) for k in range(low, high)]
-        firm = any(reading is not None and reading.firm for reading in readings)
+        frames = range(self.first + low, self.first + high)
+        readings = [self.readings[frame] for frame in frames if frame in self.readings]
+        firm = any(reading.firm for reading in readings)
+        if genus is not None and not firm:
+            firm = all(not r.floor <= genus <= r.ceiling for r in readings)
         return firm and (high - low >= FLICKER or ends)
 
     def _shapes(self, genus: list[int], sure: list[bool]) -> list[Shape]:
@@ -210,10 +182,10 @@ class _Track:
 
     def _solid_for(self, frame: int, genus: int) -> Solid:
         """The solid of a key frame, or of the nearest one read with this genus."""
-        if frame in self.readings and self.readings[frame].genus == genus:
-            return self.readings[frame].solid
         near = [f for f, r in self.readings.items() if r.genus == genus]
-        return self.readings[min(near, key=lambda f: (abs(f - frame), f))].solid
+        nearest = min(near, key=lambda f: (abs(f - frame), f))
+        x = self._at(nearest, self.members[nearest - self.first])
+        return solid_with(x, self.readings[nearest].walls, self.spacing, genus)
 
 
 def read_shapes(
@@ -223,14 +195,15 @@ def read_shapes(
     contacts: Sequence[Int64[np.ndarray, "_ 2"]],
     *,
     loops: Sequence[int],
+    changed: Sequence[bool],
     spacing: float,
-    radii: tuple[float, ...],
+    window: LoopWindow,
 ) -> list[list[Shape]]:
     """Shapes of every key frame, in the order of the labels.
 
-    Solids stay open along `contacts` (unmerged near pairs) unless their sides join nearby by
-    `bonds` (short ones). `loops` counts the merges within one piece in each key frame. The first of
-    `radii` [spacings] gives the genus, the others say whether it is sure.
+    Components stay open along `contacts` (unmerged near pairs) unless their sides join nearby by
+    `bonds` (short ones). `loops` counts the merges within one piece in each key frame, `changed`
+    tells those in which anything was merged or cut.
     """
     found: list[list[Shape]] = [[] for _ in labels]
     for label, first, members in runs_of(labels):
@@ -242,8 +215,9 @@ def read_shapes(
             bonds,
             contacts,
             loops=loops,
+            changed=changed,
             spacing=spacing,
-            radii=radii,
+            window=window,
         )
         for offset, shape in enumerate(track.shapes()):
             found[first + offset].append(shape)

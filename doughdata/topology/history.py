@@ -38,6 +38,7 @@ class FrameState:
     bonds: Int64[np.ndarray, " bonds"]  # keys of the short ones
     touching: Int32[np.ndarray, " particles"]  # pieces of the static check: near is one
     loops: int = 0  # merges within one piece: only these make handles
+    changed: bool = False  # something was merged, cut or crossed by a finger
 
 
 @dataclass(slots=True)
@@ -92,17 +93,18 @@ class History:
         self.answers.made, self.loops = [], 0
         x = np.asarray(self.particles.positions[frame], dtype=np.float64)
         if self.last is not None and not started and self._still(x):
-            return replace(self.last, decisions=(), loops=0)
+            return replace(self.last, decisions=(), loops=0, changed=False)
         if frame > 0:
             self.graph.advance(x)
         if started:
             self._start_action()
         gripper = gripper_at(self.scene, poses, frame)
+        crossed = len(self.graph.crossed)
         self._cross(gripper)
         self._split(gripper)
         self._part()
         self._merge()
-        self.last = self._state()
+        self.last = self._state(crossed=len(self.graph.crossed) > crossed)
         return self.last
 
     def _still(self, x: Float64[np.ndarray, "particles 3"]) -> bool:
@@ -274,7 +276,7 @@ class History:
             **self._pull_settings(),
         )
 
-    def _state(self) -> FrameState:
+    def _state(self, *, crossed: bool) -> FrameState:
         graph = self.graph
         pieces = graph.pieces()
         return FrameState(
@@ -284,6 +286,7 @@ class History:
             bonds=graph.bonded_keys(SIDE_BOND),
             touching=graph.touching(self.config.static.radius),
             loops=self.loops,
+            changed=crossed or any(decision.passed for decision in self.answers.made),
         )
 
 

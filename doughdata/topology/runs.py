@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float32, Int64, UInt8
+from jaxtyping import Int64, UInt8
 
 from doughdata.topology.tracking import count_labels
 
@@ -17,22 +17,19 @@ def refine(
     low: int,
     high: int,
     read: Callable[[int], object],
-    positions: Float32[np.ndarray, "frames particles 3"],
-    still: float,
+    settled: Callable[[int, int], bool],
 ) -> None:
     """Read between two key frames until readings that agree are at most `STRIDE` apart.
 
-    Or until no particle has moved by `still` [m] along an axis between them.
+    Or until `settled` says that nothing can have changed between them.
     """
-    if read(low) == read(high):
-        moved = np.abs(positions[high] - positions[low]).max()
-        if high - low <= STRIDE or moved < still:
-            return
+    if read(low) == read(high) and (high - low <= STRIDE or settled(low, high)):
+        return
     if high - low <= 1:
         return
     middle = (low + high) // 2
-    refine(low, middle, read, positions, still)
-    refine(middle, high, read, positions, still)
+    refine(low, middle, read, settled)
+    refine(middle, high, read, settled)
 
 
 def runs_of(

@@ -20,7 +20,6 @@ __all__ = ["Closing", "Solid", "solid_genus"]
 
 VOXEL = 0.5  # [spacings]
 COVER = 0.75  # [spacings], of dough kept around the outer particles
-GAP = 1.3  # [spacings]; a lattice leaves no voxel farther than 0.87 from its particles
 WALL = 0.9  # [voxels], half a wall; over sqrt(3)/2, so that no diagonal passes through
 
 
@@ -70,11 +69,6 @@ class Closing:
         """The closing with a ball of `radius` spacings."""
         inflated = self.distance < radius * self.spacing
         return Solid(inside=_eroded(inflated, _erosion(radius)), origin=self.origin, size=self.size)
-
-    def gaps(self, solid: Solid) -> Float64[np.ndarray, "gaps 3"]:
-        """Centres [m] of the voxels that only the closing has filled."""
-        filled = solid.inside & (self.distance > GAP * self.spacing)
-        return self.origin + np.argwhere(filled) * self.size
 
     def opened(self, solids: Sequence[Solid], walls: Int64[np.ndarray, "walls 2"]) -> list[Solid]:
         """The solids without the voxels half-way between the ends of unmerged pairs."""

@@ -119,10 +119,14 @@ def static_genus(
             read[frame] = tuple(solid_genus(solid.inside) for solid in solids)
         return read[frame]
 
+    def still(low: int, high: int) -> bool:
+        moved = np.abs(particles.positions[high] - particles.positions[low]).max()
+        return bool(moved < STILL * particles.spacing)
+
     counts = [len(own) for own in parts]
     edges = [0, *(k for k in range(1, len(counts)) if counts[k] != counts[k - 1]), len(counts)]
     for first, end in itertools.pairwise(edges):
-        refine(first, end - 1, genus, particles.positions, STILL * particles.spacing)
+        refine(first, end - 1, genus, still)
     found: list[tuple[int, ...]] = []
     for frame in range(len(parts)):
         found.append(read.get(frame) or found[-1])

@@ -1,16 +1,13 @@
-"""Walls: where a closing would bridge two surfaces that are no one piece.
+"""Walls: where a solid made of balls would bridge two surfaces that are no one piece.
 
-A closing fills narrow gaps. Where the particles on both sides of a filled gap, or of a contact, are
-bonded to each other over a few steps, that is right: a fold, the rim of a seam, a thin place. Where
-they are not, the gap is real and the solid has to stay open.
+Balls around particles fill narrow gaps. Where the particles on both sides of such a gap are bonded
+to each other over a few steps, that is right: a fold, the rim of a seam, a thin place. Where they
+are not, the gap is real and the solid has to stay open.
 """
-
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import KDTree
-from skimage.measure import label
 
 from doughdata.topology.crops import chunks
 from doughdata.topology.pairs import adjacency, connected
@@ -18,10 +15,9 @@ from doughdata.topology.pairs import adjacency, connected
 __all__ = ["find_walls"]
 
 HOPS = 3  # bonds between two particles of one piece, at most, across a gap that may be filled
-REACH = 2.2  # [spacings], from a filled gap to the particles beside it
+LINK = 2.2  # [spacings], between two wall pairs of one gap
 LOCAL = 0.006  # [m]; sides that join within this of a gap are one
 CHUNK = 0.008  # [m], length of a gap that is judged at once
-FEWEST_VOXELS = 6  # of a gap that is looked at
 FEWEST_PAIRS = 12  # of a wall; fewer are noise
 
 
@@ -29,21 +25,19 @@ def find_walls(
     positions: Float64[np.ndarray, "particles 3"],
     bonds: Int64[np.ndarray, "bonds 2"],
     contacts: Int64[np.ndarray, "contacts 2"],
-    gaps: Float64[np.ndarray, "voxels 3"],
+    bridges: Int64[np.ndarray, "bridges 2"],
     *,
     spacing: float,
-    voxel: float,
     widest: float,
 ) -> Int64[np.ndarray, "walls 2"]:
     """Pairs of particles of one component between which the solid must stay open.
 
-    `bonds` are short bonded pairs, `contacts` unmerged near pairs, `gaps` the centres [m] of
-    voxels (edge `voxel` [m]) that only the closing has filled, `widest` [m] the widest gap that it
-    fills.
+    `bonds` are short bonded pairs, `contacts` unmerged near pairs, `bridges` pairs without a bond
+    between which the solid would be filled, `widest` [m] the widest gap that it fills.
     """
     core = np.zeros(len(positions), dtype=bool)
     core[contacts.ravel()] = True
-    core[_beside(positions, _lumps(gaps, voxel), REACH * spacing)] = True
+    core[bridges.ravel()] = True
     chosen = np.flatnonzero(core)
     if len(chosen) < 2:
         return np.zeros((0, 2), np.int64)
@@ -57,18 +51,6 @@ def find_walls(
         if _apart(positions, bonds, cluster, spacing)
     ]
     return np.concatenate(kept)
-
-
-def _lumps(gaps: Float64[np.ndarray, "voxels 3"], voxel: float) -> Float64[np.ndarray, "_ 3"]:
-    """Filled voxels that lie in groups of some size."""
-    if len(gaps) == 0:
-        return gaps
-    index = np.rint((gaps - gaps.min(axis=0)) / voxel).astype(int)
-    grid = np.zeros(index.max(axis=0) + 1, dtype=bool)
-    grid[tuple(index.T)] = True
-    lumps: Any = label(grid, connectivity=3)
-    lump = lumps[tuple(index.T)]
-    return gaps[np.bincount(lump)[lump] >= FEWEST_VOXELS]
 
 
 def _beside(
@@ -108,7 +90,7 @@ def _apart(
 
     If they join everywhere nearby, the wall is a notch: dough wrapped around an edge of a finger.
     """
-    link = REACH * spacing
+    link = LINK * spacing
     for rows in chunks(positions, cluster, longest=np.inf, link=link, length=CHUNK):
         if len(rows) < FEWEST_PAIRS:
             continue
