@@ -81,7 +81,7 @@ class Cloud:
         warnings = [f"{hidden} points lie under others and are hidden from above"] if hidden else []
         with TemporaryDirectory(prefix="doughdata-") as folder:
             images = spool_frames(request, frames, Path(folder), plane=plane)
-            warnings += images.workspace.warnings()
+            warnings += images.warnings
             figures = {"frames": 1, "points": frames.points, "hidden": hidden}
             figures |= images.workspace.figures()
             parameters = {

@@ -155,7 +155,7 @@ REFUSED = {
     "no such topic": (Recording(), {"topics": TopicOptions(depth_topic="/x")}, "no topic /x"),
     "wrong type": (
         Recording(),
-        {"topics": TopicOptions(color_topic=DEPTH, info_topic=DEPTH)},
+        {"topics": TopicOptions(info_topic=DEPTH)},
         "--info-topic",
     ),
     "mono16": (
