@@ -116,8 +116,8 @@ class BagSource:
     def _refusal(self, error: Exception) -> RecordingError:
         text = " ".join(str(error).split())
         return RecordingError(
-            f"{self.path}: cannot be opened as a bag ({text}); `rosbag reindex` or `ros2 bag reindex` "
-            "repairs one that was cut short"
+            f"{self.path}: cannot be opened as a bag ({text}); `rosbag reindex` or "
+            "`ros2 bag reindex` repairs one that was cut short"
         )
 
     def _lose(self, counts: Counter[str], reason: str) -> None:
