@@ -15,8 +15,10 @@ from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
 from doughcli.app import main
 from doughdata.dataset import open_dataset
+from doughdata.geometry import pixel_rays, quaternion_to_matrix
 from doughschemas import SEGMENT_COMPONENT
 from tests.recordings_samples import MAKE, MUG
+from tests.unit.test_recordings_real import ransac
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "recordings"
 LENS = {"width": 640, "height": 480, "fx": 616.37, "fy": 616.2, "cx": 310.3, "cy": 236.6}
@@ -140,7 +142,7 @@ def test_a_damaged_recording(made, tmp_path, capfd, monkeypatch, origin, name, o
 
 
 def test_objects_are_found(tmp_path, capfd, monkeypatch):
-    """In each scene of the collection one object is found, and all frames come."""
+    """In each scene one object is found; the table is where a RANSAC done apart finds it."""
     found = [path for name in OBJECTS if (path := SAMPLES / name).exists()] or [MUG]
     for path in found:
         folder = tmp_path / path.stem
@@ -151,3 +153,9 @@ def test_objects_are_found(tmp_path, capfd, monkeypatch):
         sizes = np.bincount(views.segments[0].reshape(-1))[SEGMENT_COMPONENT:]
         assert len(sizes) == 1
         assert 1_000 < sizes[0] < 100_000
+        camera = views.cameras[0]
+        cloud = pixel_rays(camera.intrinsics) * (views.depth[0] * views.depth_unit)[..., None]
+        normal, distance = ransac(cloud[views.depth[0] > 0][::17], seed=1)
+        assert abs(camera.position[2] - distance) < 0.002
+        up = quaternion_to_matrix(np.array(camera.quaternion))[2]  # world z in the camera's frame
+        assert np.degrees(np.arccos(up @ normal)) < 0.5
