@@ -224,13 +224,16 @@ def _write(writer: Writer, recording: Recording, store: Any, ros: int) -> None:
         writer.add_message(channels[topic], at, bytes(serialise(message, kind)), at)
 
 
-def write_foxglove(path: Path, pictures: list[Picture]) -> Path:
-    """An MCAP file with Foxglove's own schemas in Protobuf."""
+def write_foxglove(path: Path, pictures: list[Picture], *, unit: float | None = None) -> Path:
+    """An MCAP file with Foxglove's schemas in Protobuf; depth in floats, or 16-bit units [m]."""
     with path.open("wb") as file, ProtobufWriter(file) as writer:
         for number, picture in enumerate(pictures):
             at = START + number * PERIOD
-            units = np.rint(picture.depth * 1e4).astype(np.uint16)
+            units = np.rint(picture.depth / (unit or 1e-4)).astype(np.uint16)
+            depth = foxglove.depth_image(at, "c", units, unit or 1e-4)
+            if unit is not None:
+                depth.encoding, depth.step, depth.data = "16UC1", 2 * LENS.width, units.tobytes()
             writer.write_message("/c/info", foxglove.calibration(at, "c", LENS), at, at)
-            writer.write_message("/c/depth", foxglove.depth_image(at, "c", units, 1e-4), at, at)
+            writer.write_message("/c/depth", depth, at, at)
             writer.write_message("/c/color", foxglove.color_image(at, "c", picture.color), at, at)
     return path

@@ -211,11 +211,13 @@ def _check_options(name: str, converter: Any, options: dict[str, Any]) -> None:
 
 
 def _report(done: "Conversion", recording: Path, *, as_json: bool) -> None:
+    from doughdata.recordings.errors import one_line
+
     if as_json:
         emit_json({"recording": str(recording), **done.to_json()})
         return
     for line in (*done.warnings, *map(str, done.losses)):
-        typer.echo(f"{recording.name}: {line}", err=True)
+        typer.echo(one_line(f"{recording.name}: {line}"), err=True)
     scenes = ", ".join(str(index) for index in done.scenes[:8])
     more = f" and {len(done.scenes) - 8} more" if len(done.scenes) > 8 else ""
     frames = f"{done.frames} key frame" + ("" if done.frames == 1 else "s")

@@ -1,4 +1,4 @@
-"""A ROS 1 bag or a rosbag2 folder with sqlite3 storage as a `Source`, through rosbags."""
+"""A ROS 1 bag, or rosbag2 with sqlite3 storage or compression, as a `Source` through rosbags."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator
@@ -60,8 +60,8 @@ class BagSource:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Nothing is odd in a bag that can be read."""
-        return ()
+        """What cannot be known of any bag."""
+        return ("bags have no checksums: damage inside messages is not noticed",)
 
     @property
     def num_messages(self) -> int:
@@ -116,8 +116,8 @@ class BagSource:
     def _refusal(self, error: Exception) -> RecordingError:
         text = " ".join(str(error).split())
         return RecordingError(
-            f"{self.path}: cannot be opened as a bag ({text}); `rosbag reindex` repairs a bag that "
-            "was cut short"
+            f"{self.path}: cannot be opened as a bag ({text}); `rosbag reindex` or "
+            "`ros2 bag reindex` repairs one that was cut short"
         )
 
     def _lose(self, counts: Counter[str], reason: str) -> None:

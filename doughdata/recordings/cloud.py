@@ -75,13 +75,14 @@ class Cloud:
         known = known_scene(dataset, origin)
         if known is not None:
             return known
-        points, colors = read_cloud(path)
+        points, colors, bad = read_cloud(path)
         _checked(path, points)
         frames, plane, hidden = _seen_from_above(points, colors)
-        warnings = [f"{hidden} points lie under others and are hidden from above"] if hidden else []
+        warnings = [f"{hidden} points lie under others and are hidden from above"] * bool(hidden)
+        warnings += [f"{bad} points are not finite and were left out"] * bool(bad)
         with TemporaryDirectory(prefix="doughdata-") as folder:
             images = spool_frames(request, frames, Path(folder), plane=plane)
-            warnings += images.workspace.warnings()
+            warnings += images.warnings
             figures = {"frames": 1, "points": frames.points, "hidden": hidden}
             figures |= images.workspace.figures()
             parameters = {
@@ -117,8 +118,10 @@ def _checked(path: Path, points: Float64[np.ndarray, "points 3"]) -> None:
         low, high = points.min(axis=0), points.max(axis=0)
         extent = float((high - low).max())
     if extent > LARGEST:
+        mm = 10 * LARGEST < extent <= 1e3 * LARGEST
+        guess = " (in millimetres? divide by 1000)" if mm else ""
         raise RecordingError(
-            f"{path}: the cloud is {extent:.3g} wide; it must be in metres, cropped to the "
+            f"{path}: the cloud is {extent:.3g} wide; it must be in metres{guess}, cropped to the "
             "workspace"
         )
     if not -DEEPEST <= low[2] <= HIGHEST:

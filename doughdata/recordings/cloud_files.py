@@ -20,8 +20,8 @@ Colors = UInt8[np.ndarray, "points 3"]
 MOST_HEADER = 4096  # bytes of a PCD header
 
 
-def read_cloud(path: Path) -> tuple[Points, Colors | None]:
-    """Points in the file's units, and their colours if it has some.
+def read_cloud(path: Path) -> tuple[Points, Colors | None, int]:
+    """Points in the file's units, their colours if it has some, and how many were left out.
 
     Points that are not finite are left out.
 
@@ -38,7 +38,8 @@ def read_cloud(path: Path) -> tuple[Points, Colors | None]:
     good = np.isfinite(points).all(axis=1)
     if not good.any():
         raise RecordingError(f"{path}: no points can be read from it")
-    return points[good], None if colors is None else colors[good]
+    bad = int(np.sum(~good))
+    return points[good], None if colors is None else colors[good], bad
 
 
 def _ply(path: Path) -> tuple[Points, Colors | None]:
@@ -66,24 +67,55 @@ def _pcd(path: Path) -> tuple[Points, Colors | None]:
 
 
 def _check_pcd(path: Path) -> None:
-    """Whether as many points are there as the header says."""
+    """Refuse what Open3D reads as something else: it fills gaps and turns unknown types to 0.
+
+    Raises:
+        RecordingError: no header, a type that is not read, or other points than it says.
+    """
     data = path.read_bytes()
     head, found, rest = data[:MOST_HEADER].partition(b"\nDATA ")
     kind = rest.partition(b"\n")[0].strip().decode("ascii", "replace")
     lines = (line.split() for line in head.decode("ascii", "replace").splitlines())
     fields = {line[0]: line[1:] for line in lines if line}
-    if not found or "POINTS" not in fields or "SIZE" not in fields:
+    if not found or not {"FIELDS", "SIZE", "TYPE", "POINTS"} <= set(fields):
         raise RecordingError(f"{path}: it has no PCD header")
+    if kind not in ("ascii", "binary", "binary_compressed"):
+        raise RecordingError(
+            f"{path}: its data are {kind[:20]!r}; known are ascii, binary and binary_compressed"
+        )
     count = int(fields["POINTS"][0])
     sizes = [int(size) for size in fields["SIZE"]]
     counts = [int(value) for value in fields.get("COUNT", ["1"] * len(sizes))]
+    types = zip(fields["FIELDS"], fields["TYPE"], sizes, strict=True)
+    forms = {name: f"{kind} {size}" for name, kind, size in types}
+    if kind != "ascii" and any(forms.get(axis) != "F 4" for axis in "xyz"):
+        raise RecordingError(
+            f"{path}: x, y and z must be floats of 4 bytes (TYPE F, SIZE 4), got "
+            f"{', '.join(forms.get(axis, 'none') for axis in 'xyz')}"
+        )
     body = data[len(head) + len(found) + len(rest.partition(b"\n")[0]) + 1 :]
+    row = sum(size * number for size, number in zip(sizes, counts, strict=True))
     if kind == "ascii":
-        there, needed = len(body.split(b"\n")) - body.endswith(b"\n"), count
-    elif kind == "binary":
-        needed = count * sum(s * n for s, n in zip(sizes, counts, strict=True))
-        there = len(body)
-    else:  # binary_compressed: its own length comes first
-        needed, there = int.from_bytes(body[:4], "little") + 8, len(body)
-    if there < needed:
+        _check_rows(path, body, count, sum(counts))
+        return
+    needed = count * row
+    if kind == "binary_compressed":  # begins with its own length and that of the points
+        claimed = int.from_bytes(body[4:8], "little")
+        if claimed != needed:
+            raise RecordingError(f"{path}: {claimed} bytes for {count} points of {row}")
+        needed = int.from_bytes(body[:4], "little") + 8
+    if len(body) < needed:
         raise RecordingError(f"{path}: the cloud was cut short")
+
+
+def _check_rows(path: Path, body: bytes, count: int, columns: int) -> None:
+    rows = [line.split() for line in body.splitlines() if line.strip()]
+    if len(rows) < count:
+        raise RecordingError(f"{path}: the cloud was cut short")
+    for number, row in enumerate(rows[:count]):
+        try:
+            good = len(row) == columns and [float(value) for value in row]
+        except ValueError:
+            good = False
+        if not good:
+            raise RecordingError(f"{path}: point {number} is damaged, {columns} numbers expected")

@@ -5,21 +5,18 @@ z = A / (q - B), q = 0 = invalid. RVL (Wilson 2017) begins with u32 columns, u32
 """
 
 import struct
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, UInt16
 
+from doughdata.recordings.opencv import MOST_PIXELS, decoded_file, is_png
 from doughdata.recordings.pictures import PictureError
-from doughdata.recordings.png import png_is_whole
 from doughdata.recordings.rvl import decode_rvl
-from doughdata.registry import require_package
 
 __all__ = ["decode_compressed_depth"]
 
 HEADER = struct.Struct("<iff")
 SIZE = struct.Struct("<II")
-MOST_PIXELS = 1 << 26
 
 
 def decode_compressed_depth(
@@ -66,10 +63,7 @@ def _metres(
 
 
 def _png(data: bytes) -> UInt16[np.ndarray, "rows columns"]:
-    cv2: Any = require_package("cv2", extra="mcap")
-    pixels = None
-    if png_is_whole(data):
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    pixels = decoded_file(data, color=False) if is_png(data) else None
     if pixels is None:
         raise PictureError("is cut or damaged inside")
     if pixels.ndim != 2 or pixels.dtype != np.uint16:

@@ -55,7 +55,7 @@ def convert_recording(
             *pairing.warnings,
             *notes,
             *skipped,
-            *images.workspace.warnings(),
+            *images.warnings,
         )
         figures = _figures(source, pairing, pairs, images)
         parameters = {

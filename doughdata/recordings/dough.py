@@ -43,6 +43,13 @@ def find_dough(points: Float64[np.ndarray, "points 3"], config: ProcessingConfig
         )
         inliers[np.asarray(kept, np.int64)] = True
     voxels, place = _voxels(points[inliers], config.voxel)
+    if not len(voxels):  # which Open3D would warn about
+        return Dough(
+            inliers=inliers,
+            voxels=voxels,
+            pieces=np.zeros(0, np.int64),
+            labels=np.full(len(points), NONE, np.int64),
+        )
     clusters = np.asarray(_cloud(o3d, voxels).cluster_dbscan(config.cluster_distance, 1), np.int64)
     pieces = _in_order(voxels, clusters, config.cluster_share)
     labels = np.full(len(points), NONE, np.int64)

@@ -29,6 +29,7 @@ class RawFrame:
     depth: UInt16[np.ndarray, "rows columns"] | Float32[np.ndarray, "rows columns"]  # units or [m]
     color: UInt8[np.ndarray, "rows columns 3"] | None
     encoding: str  # of depth
+    unit_known: bool = True  # whether the type of message fixes the unit of 16-bit depth
 
 
 @dataclass(slots=True)
@@ -63,6 +64,7 @@ class FrameReader:
     intrinsics: Intrinsics
     bad: Counter[tuple[str, str]] = field(default_factory=Counter)  # (topic, reason) -> images
     _held: int = field(default=0, init=False)  # bytes of images that wait
+    _encoding: str = field(default="", init=False)  # of the first depth image
 
     def __iter__(self) -> Iterator[RawFrame]:
         """Frames that could be decoded, by time.
@@ -72,7 +74,7 @@ class FrameReader:
             DoughError: the images of an instant lie too far apart in the recording.
         """
         self.bad.clear()
-        self._held = 0
+        self._held, self._encoding = 0, ""
         queue = [_Waiting(pair) for pair in self.pairs]
         place = 0
         for _ in self._fill(queue):
@@ -148,11 +150,20 @@ class FrameReader:
             self.bad[topic, str(error)] += 1
             return None
         self._check_sizes(depth.shape, None if color is None else color.shape)
+        self._encoding = self._encoding or entry.depth.format
+        if entry.depth.format != self._encoding:  # its numbers mean something else
+            reason = f"has encoding {entry.depth.format[:40]!r}, those before {self._encoding!r}"
+            self.bad[self.topics.depth, reason] += 1
+            return None
         if not np.any(np.nan_to_num(depth, nan=0.0, posinf=0.0, neginf=0.0) > 0):
             self.bad[self.topics.depth, "has no valid depth"] += 1
             return None
         return RawFrame(
-            stamp=entry.pair.stamp, depth=depth, color=color, encoding=entry.depth.format
+            stamp=entry.pair.stamp,
+            depth=depth,
+            color=color,
+            encoding=entry.depth.format,
+            unit_known=entry.depth.unit_known,
         )
 
     def _check_sizes(self, depth: tuple[int, ...], color: tuple[int, ...] | None) -> None:
@@ -166,5 +177,5 @@ class FrameReader:
         if depth != wanted:
             raise RecordingError(
                 f"{self.topics.depth} is {depth[1]} x {depth[0]} pixels, its calibration is for "
-                f"{wanted[1]} x {wanted[0]}"
+                f"{wanted[1]} x {wanted[0]}: --info-topic or --intrinsics FILE gives another one"
             )

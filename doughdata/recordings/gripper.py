@@ -14,6 +14,7 @@ from doughdata.recordings.source import Message, Source
 __all__ = ["gripper_opening"]
 
 NEAR = 0.05  # [s]; before the first and after the last sample the value is held so long
+CLOSED, WIDEST = 0.005, 1.0  # [m]; closed fingers may read a little below 0
 MILLIMETRES = ("wsg",)  # packages whose messages give the width in mm
 
 
@@ -45,12 +46,23 @@ def gripper_opening(
     scale = options.gripper_scale
     if scale is None:
         scale = 1e-3 if topic.schema.lower().startswith(MILLIMETRES) else 1.0
+    _check_metres(options.gripper_topic, np.array(values, float) * scale)
     order = np.argsort(times, kind="stable")
     seconds = (np.array(times, np.int64)[order] - stamps[0]) / 1e9
     wanted = (np.array(stamps, np.int64) - stamps[0]) / 1e9
     opening = np.interp(wanted, seconds, np.array(values, float)[order] * scale)
     outside = (wanted < seconds[0] - NEAR) | (wanted > seconds[-1] + NEAR)
     return np.where(outside, np.nan, opening)
+
+
+def _check_metres(topic: str, opening: Float64[np.ndarray, " samples"]) -> None:
+    """Refuse what is no opening of a gripper in metres."""
+    low, high = float(opening.min()), float(opening.max())
+    if low < -CLOSED or high > WIDEST:
+        raise RecordingError(
+            f"--gripper-topic {topic}: it opens from {low:g} to {high:g} m, not within 0 to "
+            f"{WIDEST:g} m; --gripper-scale says how many metres a unit is"
+        )
 
 
 def _joints(value: Any) -> dict[str, float]:

@@ -1,39 +1,31 @@
 """Pixels of an image message: colour as RGB, depth as it was stored."""
 
 import re
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, UInt8, UInt16
 
 from doughdata.recordings.compressed_depth import decode_compressed_depth
+from doughdata.recordings.encodings import COLOUR, KNOWN
+from doughdata.recordings.opencv import (
+    MOST_PIXELS,
+    decoded_file,
+    is_jpeg,
+    is_png,
+    png_is_depth,
+)
 from doughdata.recordings.pictures import Picture, PictureError
-from doughdata.recordings.png import png_is_whole
-from doughdata.registry import require_package
 
-__all__ = ["decode_colour", "decode_depth", "holds_depth", "image_size"]
+__all__ = ["decode_colour", "decode_depth", "holds_depth"]
 
-MOST_PIXELS = 1 << 26
-# Encoding -> bytes a pixel, and which of them are red, green, blue.
-COLOUR = {
-    "rgb8": (3, (0, 1, 2)),
-    "bgr8": (3, (2, 1, 0)),
-    "8uc3": (3, (2, 1, 0)),  # OpenCV's order, as cv_bridge has it
-    "rgba8": (4, (0, 1, 2)),
-    "bgra8": (4, (2, 1, 0)),
-    "8uc4": (4, (2, 1, 0)),
-    "mono8": (1, (0, 0, 0)),
-    "8uc1": (1, (0, 0, 0)),
-}
 DEPTH = {"16uc1": np.uint16, "mono16": np.uint16, "32fc1": np.float32}
 COMPRESSED_DEPTH = "compresseddepth"
-JPEG_TAIL = 1024  # bytes that some cameras leave behind the end of a picture
 
 
 def holds_depth(picture: Picture) -> bool:
     """Whether an image claims to be depth. mono16 may be, if the user says so."""
-    if picture.compressed:
-        return COMPRESSED_DEPTH in picture.format
+    if picture.compressed:  # "16UC1; png compressed" is what image_transport makes of depth
+        return COMPRESSED_DEPTH in picture.format or picture.format.startswith("16uc1")
     return picture.format in ("16uc1", "32fc1")
 
 
@@ -46,12 +38,11 @@ def decode_colour(picture: Picture) -> UInt8[np.ndarray, "rows columns 3"]:
     if picture.compressed:
         return _decompressed(picture)
     if picture.format not in COLOUR:
-        raise PictureError(
-            f"has colour encoding {picture.format[:20]!r}; known are {', '.join(COLOUR)}, jpeg, png"
-        )
-    channels, order = COLOUR[picture.format]
-    pixels = _rows(picture, np.dtype(np.uint8), channels)
-    return np.ascontiguousarray(pixels[..., order])
+        raise PictureError(f"has colour encoding {picture.format[:20]!r}; known are {KNOWN}")
+    encoding = COLOUR[picture.format]
+    if encoding.even and picture.width % 2:
+        raise PictureError(f"has {picture.width} columns, {picture.format} has them in pairs")
+    return encoding.rgb(_rows(picture, encoding.dtype, encoding.channels))
 
 
 def decode_depth(
@@ -63,22 +54,14 @@ def decode_depth(
         PictureError: another encoding, no pixels, or data that disagree with its size.
     """
     if picture.compressed:
-        if COMPRESSED_DEPTH not in picture.format:
-            raise PictureError(f"has format {picture.format[:40]!r}, which is no depth")
-        return decode_compressed_depth(picture.data, picture.format)
+        if COMPRESSED_DEPTH in picture.format:
+            return decode_compressed_depth(picture.data, picture.format)
+        return _png_depth(picture)
     if picture.format not in DEPTH:
         raise PictureError(
             f"has depth encoding {picture.format[:20]!r}; known are {', '.join(DEPTH)}"
         )
     return _rows(picture, np.dtype(DEPTH[picture.format]), 1)[..., 0]
-
-
-def image_size(picture: Picture) -> tuple[int, int]:
-    """(height, width); of compressed images by decoding them. Raises as the decoders do."""
-    if not picture.compressed:
-        return picture.height, picture.width
-    pixels = decode_depth(picture) if holds_depth(picture) else decode_colour(picture)
-    return pixels.shape[0], pixels.shape[1]
 
 
 def _rows(picture: Picture, dtype: np.dtype, channels: int) -> np.ndarray:
@@ -102,17 +85,22 @@ def _rows(picture: Picture, dtype: np.dtype, channels: int) -> np.ndarray:
     return pixels.reshape(height, width, channels).astype(dtype)
 
 
+def _png_depth(picture: Picture) -> UInt16[np.ndarray, "rows columns"]:
+    """A plain PNG file of 16-bit depth."""
+    if not is_png(picture.data):
+        raise PictureError(f"has format {picture.format[:40]!r}, which is no depth")
+    pixels = decoded_file(picture.data, color=False)
+    if pixels is None:
+        raise PictureError("is cut or damaged inside")
+    if not png_is_depth(picture.data) or pixels.dtype != np.uint16 or pixels.ndim != 2:
+        raise PictureError("is a PNG of colours, not of 16-bit depth")
+    return pixels
+
+
 def _decompressed(picture: Picture) -> UInt8[np.ndarray, "rows columns 3"]:
-    """OpenCV gives BGR. Files that are cut are refused: it would fill the rest with grey."""
-    cv2: Any = require_package("cv2", extra="mcap")
-    data = picture.data
-    if data.startswith(b"\x89PNG"):
-        whole = png_is_whole(data)
-    elif data.startswith(b"\xff\xd8"):
-        whole = data.rfind(b"\xff\xd9") > len(data) - JPEG_TAIL
-    else:
+    if not (is_png(picture.data) or is_jpeg(picture.data)):
         raise PictureError(f"has format {picture.format[:40]!r}; known are jpeg and png")
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if whole else None
+    pixels = decoded_file(picture.data, color=True)
     if pixels is None:
         raise PictureError("is cut or damaged inside")
     if _channels_are_rgb(picture.format):

@@ -6,16 +6,17 @@ from dataclasses import replace
 from heapq import merge
 
 from doughdata.recordings.protocol import Loss
+from doughdata.recordings.rosbag2 import METADATA, Folder
 from doughdata.recordings.source import Message, Source, Topic
 
 __all__ = ["JoinedSource"]
 
 
 class JoinedSource:
-    """The messages of all parts by time of logging."""
+    """The messages of all parts by time of logging; what the folder promises must be there."""
 
-    def __init__(self, parts: Sequence[Source]) -> None:
-        self._parts = parts
+    def __init__(self, parts: Sequence[Source], folder: Folder) -> None:
+        self._parts, self._folder = parts, folder
         self._topics: dict[str, Topic] = {}
         for part in parts:
             for name, topic in part.topics.items():
@@ -30,13 +31,23 @@ class JoinedSource:
 
     @property
     def losses(self) -> tuple[Loss, ...]:
-        """Of all parts."""
-        return tuple(loss for part in self._parts for loss in part.losses)
+        """Of all parts; else messages that the folder promises and no part holds."""
+        found = tuple(loss for part in self._parts for loss in part.losses)
+        found = (*self._folder.losses, *found)
+        promised = self._folder.num_expected
+        if found or promised is None or promised == self.num_messages:
+            return found
+        reason = f"{METADATA} says {promised} messages, the files hold {self.num_messages}"
+        missing = promised - self.num_messages
+        unit = "message" if missing > 0 else "damaged place"
+        where = "the folder"
+        return (Loss(where=where, count=max(missing, 1), unit=unit, reason=reason),)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Of all parts."""
-        return tuple(warning for part in self._parts for warning in part.warnings)
+        """Of the folder and all parts."""
+        found = (warning for part in self._parts for warning in part.warnings)
+        return (*self._folder.warnings, *found)
 
     @property
     def num_messages(self) -> int:
@@ -45,7 +56,9 @@ class JoinedSource:
 
     @property
     def num_expected(self) -> int | None:
-        """Sum of what the parts claim; None if one of them does not say."""
+        """What the folder claims, else the sum of its parts; None if one does not say."""
+        if self._folder.num_expected is not None:
+            return self._folder.num_expected
         counts = [part.num_expected for part in self._parts]
         return None if None in counts else sum(count for count in counts if count is not None)
 

@@ -67,6 +67,7 @@ class McapScan:
     damage: list[str] = field(default_factory=list)  # in the order of the file
     warnings: list[str] = field(default_factory=list)
     expected: int | None = None  # messages by the file's own statistics
+    unchecked: int = 0  # messages that no checksum covers
 
 
 def scan_mcap(path: Path, on_progress: Callable[[int, int], None]) -> McapScan:
@@ -136,6 +137,7 @@ class _Pass:
                 raise DamageError("a message shorter than its own header")
             header = MESSAGE_HEADER.unpack_from(data)
             self._message(header, 0, start, len(data))
+            self.found.unchecked += 1
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._define(definition(opcode, data))
         elif opcode == Opcode.MESSAGE_INDEX:
@@ -162,6 +164,7 @@ class _Pass:
         self.found.chunk_lengths[start] = len(data)
         for record in records:
             if record.opcode == Opcode.MESSAGE:
+                self.found.unchecked += chunk.uncompressed_crc == 0
                 header = MESSAGE_HEADER.unpack_from(inner, record.start)
                 self._message(header, start, record.start, record.length)
 
@@ -183,8 +186,24 @@ class _Pass:
         after = place + FRAME.size + length
         if length != 4 or (self.summary.data_end is not None and after != self.summary.data_end):
             raise DamageError("the data end too early")
-        if end.data_section_crc and end.data_section_crc != self._crc(place):
-            self.found.damage.append("the data do not fit their CRC")
+        if end.data_section_crc:
+            self.found.unchecked = 0
+            if end.data_section_crc != self._crc(place):
+                self.found.damage.append("the data do not fit their CRC")
+        if self._another(after):
+            self.found.damage.append("more bytes follow its end, another recording perhaps")
+
+    def _another(self, place: int) -> bool:
+        """Whether the magic bytes stand between the data's end and the file's end."""
+        self.file.seek(place)
+        left, before = self.size - len(MAGIC) - place, b""
+        while left > 0:
+            block = before + self.file.read(min(BLOCK, left))
+            if MAGIC in block:
+                return True
+            left -= len(block) - len(before)
+            before = block[1 - len(MAGIC) :]
+        return False
 
     def _crc(self, stop: int) -> int:
         """CRC of the file's first bytes."""
@@ -203,6 +222,10 @@ class _Pass:
         if summary.problem:
             found.warnings.append(
                 f"the recording's index is damaged ({summary.problem}); it was read without"
+            )
+        if found.unchecked:
+            found.warnings.append(
+                f"{found.unchecked} messages have no checksum: damage inside them is not noticed"
             )
         for kind in ("schemas", "channels"):
             for record in getattr(summary, kind).values():

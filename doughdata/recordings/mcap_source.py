@@ -1,5 +1,6 @@
 """An MCAP file as a `Source`: ROS 2 (CDR), ROS 1 and Protobuf messages, by time of logging."""
 
+import struct
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
@@ -7,9 +8,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from mcap.exceptions import McapError
 
-from doughdata.recordings.errors import RecordingError
+from doughdata.recordings.errors import RecordingError, UndecodableError
 from doughdata.recordings.mcap_records import DamageError, parsed_chunk, unpacked
 from doughdata.recordings.mcap_scan import McapScan, scan_mcap
 from doughdata.recordings.protocol import Loss, OnProgress, silent
@@ -20,6 +20,7 @@ from doughschemas import DoughError
 __all__ = ["McapSource"]
 
 KEPT = 64 << 20  # bytes of unpacked chunks that are kept; one chunk is always
+LAST_TIME = (1 << 63) - 1  # [ns]; the format allows later ones, arrays of time do not
 Decode = Callable[[bytes], Any]
 
 
@@ -116,7 +117,7 @@ class McapSource:
                     Message(
                         topic=channel.topic,
                         number=numbers[channel.topic],
-                        log_time=index.log_time[row],
+                        log_time=min(index.log_time[row], LAST_TIME),
                         value=None,
                         channel=channel.id,
                     ),
@@ -131,7 +132,8 @@ class McapSource:
         except DoughError:
             raise
         except Exception as problem:  # any bytes may come: decoders fail in any way
-            return replace(message, error=f"cannot be decoded: {type(problem).__name__}")
+            name = "too short" if isinstance(problem, struct.error) else type(problem).__name__
+            return replace(message, error=f"cannot be decoded: {name}")
 
     def _data(self, file: BinaryIO, chunk: int, start: int, length: int) -> bytes:
         if chunk == 0:
@@ -154,25 +156,26 @@ class McapSource:
         return self._chunks[start]
 
     def _decoder(self, number: int) -> Decode:
-        if number not in self._decoders:
-            channel = self._scan.channels[number]
-            schema = self._scan.schemas.get(channel.schema_id)
-            for factory in _factories():
-                try:
-                    decode = factory.decoder_for(channel.message_encoding, schema)
-                except (McapError, ValueError, LookupError):
-                    continue
-                if decode is not None:
-                    self._decoders[number] = decode
-                    break
-            else:
-                raise RecordingError(
-                    f"{self.path}: topic {channel.topic} has messages in encoding "
-                    f"{channel.message_encoding!r} with a schema in "
-                    f"{schema.encoding if schema else 'none'!r}; known are cdr with ros2msg, ros1 "
-                    "with ros1msg, and protobuf"
-                )
-        return self._decoders[number]
+        """Of a channel. Raises UndecodableError if nobody decodes its messages."""
+        if number in self._decoders:
+            return self._decoders[number]
+        channel = self._scan.channels[number]
+        schema = self._scan.schemas.get(channel.schema_id)
+        for factory in _factories():
+            try:
+                decode = factory.decoder_for(channel.message_encoding, schema)
+            except Exception as error:  # any bytes may come: the library fails in any way
+                reason = f"has a damaged definition of its type {schema.name if schema else ''!r}"
+                raise UndecodableError(self.path, channel.topic, reason) from error
+            if decode is not None:
+                self._decoders[number] = decode
+                return decode
+        reason = (
+            f"has messages in encoding {channel.message_encoding!r} with a schema in "
+            f"{schema.encoding if schema else 'none'!r}; known are cdr with ros2msg, ros1 with "
+            "ros1msg, and protobuf"
+        )
+        raise UndecodableError(self.path, channel.topic, reason)
 
 
 def _factories() -> list[Any]:

@@ -1,6 +1,7 @@
 """Depth and colour images of the same instant; which of them become key frames."""
 
 from dataclasses import dataclass
+from zlib import crc32
 
 import numpy as np
 from jaxtyping import Int64
@@ -45,6 +46,7 @@ class _Stream:
     numbers: list[int]
     stamps: list[int]  # [ns]; 0 = not set
     log_times: list[int]
+    sums: list[int]  # CRCs of their data
     frame: str
     bad: dict[str, int]  # reason -> images
 
@@ -64,12 +66,17 @@ def pair_images(source: Source, topics: ChosenTopics) -> Pairing:
         for name, stream in streams.items()
         for reason, count in stream.bad.items()
     ]
-    times, numbers, repeated = _by_time(depth, stamped)
+    times, numbers, repeated, twice = _by_time(depth, stamped)
     if len(times) == 0:
         raise RecordingError(f"no image of {topics.depth} can be read{_reasons(depth)}")
     if repeated:
-        reason = "same time stamp as the image before"
+        reason = "same time stamp as another image"
         losses.append(Loss(where=topics.depth, count=repeated, unit="image", reason=reason))
+    if twice:
+        warnings.append(
+            f"{topics.depth}: {twice} images are copies of others of the same time and were left "
+            "out"
+        )
     chosen, offset = np.full(len(times), -1), 0.0
     if color is not None:
         _check_frames(topics, depth, color)
@@ -103,7 +110,7 @@ def uniform_choice(pairs: tuple[Pair, ...], most: int) -> tuple[Pair, ...]:
 
 def _streams(source: Source, topics: ChosenTopics) -> dict[str, _Stream]:
     names = [topics.depth] + ([topics.color] if topics.color else [])
-    streams = {name: _Stream([], [], [], "", {}) for name in names}
+    streams = {name: _Stream([], [], [], [], "", {}) for name in names}
     for message in source.messages(names):
         stream = streams[message.topic]
         try:
@@ -114,18 +121,24 @@ def _streams(source: Source, topics: ChosenTopics) -> dict[str, _Stream]:
         stream.numbers.append(message.number)
         stream.stamps.append(picture.stamp)
         stream.log_times.append(message.log_time)
+        stream.sums.append(crc32(picture.data))
         stream.frame = stream.frame or picture.frame
     return streams
 
 
 def _by_time(
     depth: _Stream, stamped: bool
-) -> tuple[Int64[np.ndarray, " images"], Int64[np.ndarray, " images"], int]:
-    """Rising times, the numbers of their images, and how many repeated a time and were left out."""
-    times = _times(depth, stamped)
-    times, first = np.unique(times, return_index=True)
+) -> tuple[Int64[np.ndarray, " images"], Int64[np.ndarray, " images"], int, int]:
+    """Rising times and the numbers of their images; the first image of a time is taken.
+
+    Also how many others there are of a time already taken, and how many with the same bytes.
+    """
+    every = _times(depth, stamped)
+    times, first, place = np.unique(every, return_index=True, return_inverse=True)
+    sums = np.array(depth.sums, np.int64)
+    copies = int(np.sum(sums == sums[first][place.reshape(-1)])) - len(first)
     numbers = np.array(depth.numbers, np.int64)[first]
-    return times, numbers, len(depth.numbers) - len(times)
+    return times, numbers, len(every) - len(times) - copies, copies
 
 
 def _alone(topics: ChosenTopics, alone: int, total: int) -> list[str]:

@@ -12,6 +12,7 @@ from doughschemas import Intrinsics
 __all__ = [
     "IMAGES",
     "INFOS",
+    "VIDEOS",
     "Lens",
     "Picture",
     "PictureError",
@@ -22,6 +23,9 @@ __all__ = [
 ]
 
 IMAGES = ("Image", "RawImage", "CompressedImage")  # kinds of topics, see `Topic.kind`
+VIDEOS = ("CompressedVideo", "FFMPEGPacket")  # which are not decoded
+LAST = 1 << 63  # [ns]; a stamp from here on is none
+MOST_FOCAL, MOST_SHIFT = 1000, 100  # focal length and principal point, in widths of the picture
 INFOS = ("CameraInfo", "CameraCalibration")
 
 
@@ -42,7 +46,7 @@ class Picture:
     height: int = 0
     step: int = 0  # bytes a row, padding included
     big_endian: bool = False
-    unit_known: bool = True  # whether the type fixes the unit of 16-bit depth
+    unit_known: bool = True  # whether the type of message fixes the unit of 16-bit depth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,8 +67,8 @@ def stamp_of(value: Any) -> int:
         return 0
     for seconds, rest in (("sec", "nanosec"), ("secs", "nsecs"), ("seconds", "nanos")):
         if hasattr(stamp, seconds):
-            return int(getattr(stamp, seconds)) * 10**9 + int(getattr(stamp, rest))
-    return int(stamp) if isinstance(stamp, int) else 0
+            stamp = int(getattr(stamp, seconds)) * 10**9 + int(getattr(stamp, rest))
+    return stamp if isinstance(stamp, int) and abs(stamp) < LAST else 0
 
 
 def frame_of(value: Any) -> str:
@@ -90,7 +94,7 @@ def picture_of(message: Message, kind: str) -> Picture:
             format=str(value.format if kind == "CompressedImage" else value.encoding).lower(),
             data=bytes(value.data),
             compressed=kind == "CompressedImage",
-            unit_known=kind != "RawImage",
+            unit_known=kind != "RawImage",  # Foxglove's type
             **raw,
         )
     except (AttributeError, TypeError, ValueError, OverflowError) as error:
@@ -126,6 +130,14 @@ def lens_of(message: Message) -> Lens:
         raise PictureError("has numbers that are not finite")
     if fx <= 0 or fy <= 0:
         raise PictureError(f"is not calibrated (fx {fx:g}, fy {fy:g})")
+    span = max(width, height)
+    if not span / MOST_FOCAL < min(fx, fy) <= max(fx, fy) < span * MOST_FOCAL or (
+        max(abs(cx), abs(cy)) > span * MOST_SHIFT
+    ):
+        raise PictureError(
+            f"is no calibration of {width} x {height} pixels "
+            f"(fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g})"
+        )
     binning = max(int(getattr(value, "binning_x", 0)), int(getattr(value, "binning_y", 0)))
     roi = getattr(value, "roi", None)
     if binning > 1 or (roi is not None and (int(roi.width), int(roi.height)) not in _whole(value)):

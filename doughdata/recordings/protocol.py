@@ -5,6 +5,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+from doughdata.recordings.errors import one_line
+
 __all__ = ["Conversion", "Converter", "Loss", "OnProgress", "silent"]
 
 OnProgress = Callable[[str, int, int], None]  # what is being done, how much is done, of how much
@@ -26,7 +28,7 @@ class Loss:
 
     def __str__(self) -> str:
         plural = "" if self.count == 1 else "s"
-        return f"{self.where}: {self.count} {self.unit}{plural} lost ({self.reason})"
+        return one_line(f"{self.where}: {self.count} {self.unit}{plural} lost ({self.reason})")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, UInt16
 
 from doughdata.dataset.spool import RowSpool, SpooledArray
 from doughdata.recordings.dough import check_expected
@@ -53,6 +53,7 @@ class SpooledImages:
     color: SpooledArray | None
     stamps: tuple[int, ...]  # [ns]
     workspace: Workspace
+    warnings: tuple[str, ...]  # lines for the user
 
 
 def spool_frames(
@@ -81,6 +82,7 @@ def _spool(
     units: DepthUnits | None = None
     workspace: Workspace | None = None
     stamps: list[int] = []
+    beyond = 0
     axes = ("view", "y", "x")
     with (
         RowSpool(folder / "depth", dtype=np.dtype(np.uint16), axes=axes) as depth,
@@ -91,6 +93,8 @@ def _spool(
             if units is None:
                 units = choose_units(frame, request.topics.depth_scale, fine=fine)
             stored = units.stored(frame)
+            beyond += units.beyond(frame)
+            _check_depth(frame, stored, units)
             metres = units.metres(stored)
             if workspace is None:
                 workspace = _workspace(request, reader, frame, metres, plane)
@@ -113,7 +117,31 @@ def _spool(
             color=color.finish() if len(color) else None,
             stamps=tuple(stamps),
             workspace=workspace,
+            warnings=(*_notes(units, beyond), *workspace.warnings()),
         )
+
+
+def _check_depth(
+    frame: RawFrame, stored: UInt16[np.ndarray, "rows columns"], units: DepthUnits
+) -> None:
+    """Refuse a frame with depth of which nothing can be stored."""
+    if not stored.any():
+        with np.errstate(invalid="ignore"):
+            least = float(frame.depth[frame.depth > 0].min()) * units.scale
+        raise RecordingError(
+            f"no depth lies between {units.unit:g} and {65535 * units.unit:g} m, the nearest is "
+            f"{least:g} m: --depth-scale says how many metres a unit is (0.001 for millimetres)"
+        )
+
+
+def _notes(units: DepthUnits, beyond: int) -> Iterator[str]:
+    if units.guessed:
+        yield (
+            "the recording does not say in which unit depth is: millimetres were taken "
+            "(--depth-scale says otherwise)"
+        )
+    if beyond:
+        yield f"{beyond} pixels are beyond {65535 * units.unit:g} m and were taken as invalid"
 
 
 def _save_steps(

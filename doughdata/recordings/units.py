@@ -24,7 +24,9 @@ class DepthUnits:
     """How values of the recording become values of the dataset."""
 
     unit: float  # [m], of the dataset
-    factor: int | None  # dataset units a recorded unit; None: the recording has float metres
+    factor: int | None  # dataset units a recorded unit; None: the recording has floats
+    scale: float = 1.0  # [m], a recorded unit of floats
+    guessed: bool = False  # whether nobody said what a recorded unit is
 
     def stored(self, frame: RawFrame) -> UInt16[np.ndarray, "rows columns"]:
         """Depth in dataset units, 0 = invalid. Values of 16-bit depth come through exactly.
@@ -36,12 +38,17 @@ class DepthUnits:
             values = frame.depth.astype(np.uint32) * np.uint32(self.factor)
         else:
             clean = np.nan_to_num(frame.depth, nan=0.0, posinf=0.0, neginf=0.0)
-            values = np.rint(np.maximum(clean, 0).astype(np.float64) / self.unit)
+            values = np.rint(np.maximum(clean, 0).astype(np.float64) * (self.scale / self.unit))
         if values.max() > MOST:
             if self.unit < COARSE and self.unit == FINE:
                 raise DepthUnitsError
             values = np.where(values > MOST, 0, values)
         return values.astype(np.uint16)
+
+    def beyond(self, frame: RawFrame) -> int:
+        """Pixels with a depth that does not fit any more: they are stored as invalid."""
+        most = MOST * self.unit / (self.scale if self.factor is None else self.unit / self.factor)
+        return int(np.count_nonzero(np.isfinite(frame.depth) & (frame.depth > most)))
 
     def metres(
         self, stored: UInt16[np.ndarray, "rows columns"]
@@ -62,13 +69,14 @@ def choose_units(frame: RawFrame, scale: float | None, *, fine: bool = True) -> 
         RecordingError: mono16 is no depth unless the user gives its scale.
     """
     if frame.depth.dtype.kind == "f":
-        return DepthUnits(unit=FINE if fine else COARSE, factor=None)
+        return DepthUnits(unit=FINE if fine else COARSE, factor=None, scale=scale or 1.0)
     if frame.encoding == "mono16" and scale is None:
         raise RecordingError(
             "mono16 says nothing about depth: --depth-scale 0.001 reads it as millimetres"
         )
+    guessed = scale is None and not frame.unit_known
     scale = MILLIMETRE if scale is None else scale
     steps = round(scale / FINE)
     if fine and steps >= 1 and abs(scale - steps * FINE) < 1e-9:
-        return DepthUnits(unit=FINE, factor=steps)
-    return DepthUnits(unit=scale, factor=1)
+        return DepthUnits(unit=FINE, factor=steps, guessed=guessed)
+    return DepthUnits(unit=scale, factor=1, guessed=guessed)

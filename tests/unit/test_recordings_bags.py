@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as BagWriter
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as FolderWriter
 
 from doughdata.dataset import open_dataset
-from doughdata.recordings.bag import Bag
+from doughdata.recordings.bag import PARTS, Bag
 from doughdata.recordings.mcap import Mcap
+from doughdata.recordings.protocol import silent
 from doughschemas import DoughError
 from tests.recordings_made import ROS1, ROS2, Recording, write_mcap
 
@@ -24,9 +25,12 @@ def write_bag(path, recording):
     return path
 
 
-def write_folder(path, recording, plugin):
+def write_folder(path, recording, plugin, mode=CompressionMode.NONE):
     """A rosbag2 folder by rosbags."""
-    with FolderWriter(path, version=9, storage_plugin=plugin) as writer:
+    writer = FolderWriter(path, version=9, storage_plugin=plugin)
+    if mode is not CompressionMode.NONE:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
         made = {}
         for topic, kind, at, message in recording.messages(ROS2):
             if topic not in made:
@@ -64,3 +68,61 @@ def test_a_cut_bag_is_refused(tmp_path, share):
         Bag().convert(path, str(tmp_path / "d"))
     assert "\n" not in str(error.value)
     assert not (tmp_path / "d").exists()
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+def test_compressed_folders_are_read(tmp_path, plugin, mode):
+    """Folders that rosbag2 compressed, whole files or each message, lose nothing."""
+    source = Bag().open(write_folder(tmp_path / "a", Recording(), plugin, mode), silent)
+    assert (source.num_messages, source.num_expected, source.losses) == (9, 9, ())
+    assert not any(message.error for message in source.messages(source.topics))
+
+
+def _more(path, name):
+    """Let the description name one more file."""
+    text = (path / "metadata.yaml").read_text()
+    file = next(p for p in path.iterdir() if p.suffix != ".yaml")
+    (path / "metadata.yaml").write_text(
+        text.replace(f"- {file.name}", f"- {file.name}\n  - {name}")
+    )
+
+
+def _empty(path):
+    _more(path, f"more{PARTS[0]}")
+    (path / f"more{PARTS[0]}").write_bytes(b"")
+
+
+def _count(path):
+    text = (path / "metadata.yaml").read_text()
+    (path / "metadata.yaml").write_text(text.replace("message_count: 9", "message_count: 11"))
+
+
+SPOILT = {
+    "a file is missing": (lambda path: _more(path, "more.mcap"), "missing: more.mcap"),
+    "an empty file": (_empty, "bag"),
+    "a count": (_count, "says 11 messages, the files hold 9"),
+    "rubbish": (lambda path: (path / "metadata.yaml").write_bytes(b"\xff :"), "is damaged"),
+    "a list": (lambda path: (path / "metadata.yaml").write_text("[1]"), "is damaged"),
+}
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+@pytest.mark.parametrize("name", SPOILT)
+def test_a_folder_that_lacks_something_is_told(tmp_path, plugin, name):
+    """What a folder's description promises and the folder lacks is a loss; the rest is read."""
+    spoil, reason = SPOILT[name]
+    path = write_folder(tmp_path / "a", Recording(), plugin)
+    spoil(path)
+    source = Bag().open(path, silent)
+    assert reason in " ".join(map(str, source.losses))
+    assert len(list(source.messages(source.topics))) == 9
+
+
+def test_a_folder_whose_recorder_was_killed(tmp_path):
+    """Without a description the files are read, and it is told that some may be missing."""
+    path = write_folder(tmp_path / "a", Recording(), StoragePlugin.SQLITE3)
+    (path / "metadata.yaml").unlink()
+    source = Bag().open(path, silent)
+    assert (source.num_messages, source.losses) == (9, ())
+    assert any("metadata.yaml" in line for line in source.warnings)

@@ -8,7 +8,6 @@ import pytest
 
 from doughdata.dataset import open_dataset, validate
 from doughdata.geometry import quaternion_to_matrix
-from doughdata.recordings.colour import colour_range
 from doughdata.recordings.errors import RecordingError
 from doughdata.recordings.mcap import Mcap
 from doughdata.recordings.options import ProcessingConfig, TopicOptions
@@ -20,7 +19,6 @@ from tests.dataset_helpers import new_writer, write_examples
 from tests.recordings_damage import chunk_spans, corrupted
 from tests.recordings_made import (
     CAMERA,
-    DEPTH,
     LENS,
     RADIUS,
     Recording,
@@ -30,6 +28,7 @@ from tests.recordings_made import (
 )
 
 PICTURE = rolls_picture()
+ONE = rolls_picture(count=1)
 ROLLS = ProcessingConfig(expect="rolls")
 
 
@@ -121,66 +120,6 @@ def test_segments_are_what_is_there(tmp_path):
     assert np.all(PICTURE.roll[segments >= SEGMENT_COMPONENT] >= 0)
     assert np.mean(PICTURE.roll[segments == SEGMENT_TABLE] < 0) > 1 - heights * 10
     assert np.mean(segments[PICTURE.roll >= 0] >= SEGMENT_COMPONENT) > 0.7
-
-
-def _broken_lens(topic, number, message):
-    if hasattr(message, "k"):
-        message.k[0] = np.nan
-    return message
-
-
-def _without_depth(topic, number, message):
-    return None if topic == DEPTH else message
-
-
-HALF = replace(PICTURE, color=PICTURE.color[::2, ::2])
-EMPTY = replace(PICTURE, depth=np.zeros_like(PICTURE.depth))
-FLAT = rolls_picture(count=0)
-ONE = rolls_picture(count=1)
-REFUSED = {
-    "no calibration": (Recording(info=False), {}, "--intrinsics"),
-    "no depth": (Recording(edit=_without_depth), {}, "no topic with depth"),
-    "no valid pixel": (Recording(pictures=[EMPTY] * 2), {}, "no valid depth"),
-    "other size": (Recording(pictures=[HALF]), {}, "160 x 120 .* 80 x 60"),
-    "other frame": (Recording(frames=("a", "b")), {}, "aligned_depth_to_color"),
-    "lens not finite": (Recording(edit=_broken_lens), {}, "not finite"),
-    "lens of another size": (Recording(lens=replace(LENS, width=99)), {}, "calibration is for"),
-    "bare table": (Recording(pictures=[FLAT]), {}, "nothing stands"),
-    "one roll": (Recording(pictures=[ONE]), {"processing": ROLLS}, "found 1"),
-    "no such colour": (
-        Recording(),
-        {"processing": ProcessingConfig(color=colour_range("100-140"))},
-        "red and blue",
-    ),
-    "no such topic": (Recording(), {"topics": TopicOptions(depth_topic="/x")}, "no topic /x"),
-    "wrong type": (
-        Recording(),
-        {"topics": TopicOptions(color_topic=DEPTH, info_topic=DEPTH)},
-        "--info-topic",
-    ),
-    "mono16": (
-        Recording(depth="mono16"),
-        {"topics": TopicOptions(depth_topic=DEPTH)},
-        "--depth-scale",
-    ),
-    "no such joint": (
-        Recording(gripper=True),
-        {"topics": TopicOptions(gripper_topic="/joints:thumb")},
-        "thumb",
-    ),
-    "no tf": (Recording(), {"topics": TopicOptions(tool_frame="tool0")}, "tool0"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_a_refusal_leaves_nothing(tmp_path, name):
-    """What cannot be used is refused in one line that says why, and no dataset is left behind."""
-    recording, options, reason = REFUSED[name]
-    path = write_mcap(tmp_path / "a.mcap", recording)
-    with pytest.raises(RecordingError, match=reason) as error:
-        Mcap().convert(path, str(tmp_path / "d"), **options)
-    assert "\n" not in str(error.value)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mcap"]
 
 
 def test_two_cameras_must_be_told_apart(tmp_path):

@@ -2,6 +2,7 @@
 
 import struct
 from dataclasses import replace
+from zlib import crc32
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 
 from doughdata.recordings.colour import colour_range
 from doughdata.recordings.compressed_depth import decode_compressed_depth
-from doughdata.recordings.images import COLOUR, decode_colour, decode_depth
+from doughdata.recordings.images import decode_colour, decode_depth, holds_depth
 from doughdata.recordings.pictures import Picture, PictureError
 from doughdata.recordings.rvl import decode_rvl, encode_rvl
 from doughschemas import BadInputError
@@ -44,16 +45,84 @@ def packed(data, form):
     return Picture(stamp=1, frame="camera", format=form, data=data, compressed=True)
 
 
+PLAIN = [  # encoding, stored channels in the order of the name
+    *((f"{name}{bits}", name) for name in ("rgb", "bgr", "rgba", "bgra") for bits in (8, 16)),
+    ("8uc3", "bgr"),
+    ("8uc4", "bgra"),
+]
+
+
 @pytest.mark.parametrize("padding", [0, 3])
-@pytest.mark.parametrize("encoding", sorted(COLOUR))
-def test_raw_colour_is_rgb(encoding, padding):
+@pytest.mark.parametrize(("encoding", "order"), PLAIN)
+def test_raw_colour_is_rgb(encoding, order, padding):
     """Every channel order, with and without row padding, gives the same red, green and blue."""
-    channels, order = COLOUR[encoding]
-    pixels = np.zeros((6, 5, channels), np.uint8)
-    for value, place in enumerate(order):
-        pixels[..., place] = RGB[..., value]
-    expected = RGB if channels > 1 else np.repeat(pixels, 3, axis=-1)
-    assert np.array_equal(decode_colour(raw(pixels, encoding, padding=padding)), expected)
+    planes = {"r": RGB[..., 0], "g": RGB[..., 1], "b": RGB[..., 2], "a": np.full((6, 5), 255)}
+    pixels = np.stack([planes[letter] for letter in order], axis=-1)
+    if encoding.endswith("16"):
+        pixels = pixels.astype(np.uint16) * 256 + 77
+    pixels = pixels.astype(np.uint16 if encoding.endswith("16") else np.uint8)
+    assert np.array_equal(decode_colour(raw(pixels, encoding, padding=padding)), RGB)
+
+
+@pytest.mark.parametrize(("encoding", "shift"), [("mono8", 0), ("8uc1", 0), ("mono16", 8)])
+def test_grey_is_grey(encoding, shift):
+    """One channel becomes three equal ones; of 16 bits the upper eight count."""
+    grey = RGB[..., 0].astype(np.uint16 if shift else np.uint8) << shift
+    assert np.array_equal(decode_colour(raw(grey, encoding)), np.stack([RGB[..., 0]] * 3, axis=-1))
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("tile", ["rggb", "bggr", "gbrg", "grbg"])
+def test_bayer_of_one_colour(tile, bits):
+    """A mosaic of one colour, laid out as its name says, gives that colour in every pixel."""
+    color = {"r": 200, "g": 120, "b": 40}
+    cells = np.array([color[letter] for letter in tile]).reshape(2, 2) << (bits - 8)
+    pixels = np.tile(cells, (4, 4)).astype(np.uint16 if bits == 16 else np.uint8)
+    got = decode_colour(raw(pixels, f"bayer_{tile}{bits}"))
+    assert np.all(got == list(color.values()))
+
+
+@pytest.mark.parametrize(
+    ("encoding", "order"),
+    [("yuv422", "UYVY"), ("uyvy", "UYVY"), ("yuv422_yuy2", "YUYV"), ("yuyv", "YUYV")],
+)
+def test_yuv_is_the_standards_rgb(encoding, order):
+    """YUV 4:2:2 gives the colours of BT.601 (16-235), two pixels sharing their U and V."""
+    values = {"U": 90, "V": 180}
+    luma = [60, 200]
+    row = [luma[k // 2] if letter == "Y" else values[letter] for k, letter in enumerate(order)]
+    pixels = np.tile(np.array(row, np.uint8).reshape(2, 2), (3, 2, 1))
+    expected = []
+    for y in luma:
+        y, u, v = 1.164 * (y - 16), values["U"] - 128, values["V"] - 128
+        expected.append([y + 1.596 * v, y - 0.392 * u - 0.813 * v, y + 2.017 * u])
+    got = decode_colour(raw(pixels, encoding))
+    assert np.abs(got.astype(float) - np.tile(np.clip(expected, 0, 255), (3, 2, 1))).max() < 2
+    with pytest.raises(PictureError, match="in pairs"):
+        decode_colour(raw(pixels[:, :3], encoding))
+
+
+def test_a_plain_png_of_depth():
+    """What image_transport's plain compression makes of 16-bit depth is depth; a JPEG is not."""
+    data = cv2.imencode(".png", UNITS)[1].tobytes()
+    assert holds_depth(packed(data, "16uc1; png compressed "))
+    assert np.array_equal(decode_depth(packed(data, "16uc1; png compressed ")), UNITS)
+    for other in (cv2.imencode(".jpeg", RGB)[1], cv2.imencode(".png", RGB)[1]):
+        with pytest.raises(PictureError, match="depth"):
+            decode_depth(packed(other.tobytes(), "16uc1; png compressed "))
+
+
+@pytest.mark.parametrize("kind", ["png", "jpeg"])
+def test_a_picture_that_claims_to_be_huge_is_refused(kind):
+    """A size of 65,000 x 65,000 in the header is one clear error."""
+    data = bytearray(cv2.imencode(f".{kind}", RGB)[1].tobytes())
+    if kind == "png":
+        struct.pack_into(">II", data, 16, 65000, 65000)
+        struct.pack_into(">I", data, 29, crc32(data[12:29]))
+    else:
+        struct.pack_into(">HH", data, data.index(b"\xff\xc0") + 5, 65000, 65000)
+    with pytest.raises(PictureError):
+        decode_colour(packed(bytes(data), kind))
 
 
 @pytest.mark.parametrize("big", [False, True])

@@ -9,7 +9,9 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from doughdata.recordings.errors import RecordingError
 from doughdata.recordings.mcap_source import McapSource
-from tests.recordings_damage import chunk_spans, content_of, corrupted, silent_loss
+from doughdata.recordings.options import TopicOptions
+from doughdata.recordings.topics import choose_topics
+from tests.recordings_damage import Whole, chunk_spans, content_of, corrupted, silent_loss
 from tests.recordings_made import Recording, rolls_picture, write_mcap
 
 COMPRESSIONS = list(CompressionType)
@@ -57,7 +59,7 @@ def test_every_message_comes_in_order(tmp_path, compression, options):
     times = [m.log_time for m in source.messages(source.topics)]
     assert len(times) == content_of(path).total() == source.num_messages == source.num_expected
     assert times == sorted(times)
-    assert (source.losses, source.warnings) == ((), ())
+    assert source.losses == ()
 
 
 def test_without_summary_and_index_all_is_read(tmp_path):
@@ -171,6 +173,63 @@ def test_an_encoding_that_nobody_decodes_is_refused_by_name(tmp_path):
         list(source.messages(["/a"]))
 
 
+@pytest.mark.parametrize(
+    ("schema", "encoding", "text", "reason"),
+    [
+        ("sensor_msgs/msg/Image", "ros2idl", b"module x {};", "'ros2idl'"),
+        ("sensor_msgs/msg/Image", "ros2msg", b"\xff\xfe", "damaged definition"),
+        ("sensor_msgs/msg/Image", "ros2msg", b"uint64[900000000] a", "too short"),
+        ("foxglove.RawImage", "flatbuffer", b"", "'flatbuffer'"),
+        (None, "", b"", "/a [(]no schema[)]"),
+    ],
+)
+def test_images_that_nobody_decodes_are_named(tmp_path, schema, encoding, text, reason):
+    """Where no depth can be read the refusal says why the images there are none."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        number = writer.register_schema(schema, encoding, text) if schema else 0
+        kind = encoding if encoding == "flatbuffer" else "cdr"
+        writer.add_message(writer.register_channel("/a", kind, number), 1, b"\0\1\0\0abcd", 1)
+        writer.finish()
+    with pytest.raises(RecordingError, match=reason):
+        choose_topics(McapSource(path), TopicOptions())
+
+
+@pytest.mark.parametrize("second", ["itself", "another", "its rest", "rubbish"])
+def test_what_follows_the_end_is_told(whole, tmp_path, second):
+    """Two recordings in one file are not read as one: what follows the end is told as damage."""
+    more = write_mcap(tmp_path / "a.mcap", Recording(pictures=[rolls_picture()])).read_bytes()
+    data = whole.read_bytes()
+    tail = {"itself": data, "another": more, "its rest": more[8:], "rubbish": b"x" * 90}[second]
+    source = McapSource(changed(whole, tmp_path, lambda data: data + tail))
+    assert source.num_messages == content_of(whole).total()
+    assert "more bytes follow" in source.losses[0].reason
+
+
+@pytest.mark.parametrize(
+    "options", [{"enable_crcs": False}, {"use_chunking": False}, {"enable_data_crcs": True}]
+)
+def test_messages_without_a_checksum_are_told(tmp_path, options):
+    """A warning counts the messages whose damage nothing would show."""
+    path = write_mcap(tmp_path / "a.mcap", **options)
+    told = [line for line in McapSource(path).warnings if "no checksum" in line]
+    covered = "enable_data_crcs" in options
+    assert [int(line.split()[0]) for line in told] == [content_of(path).total()] * (not covered)
+
+
+def test_a_cut_after_any_record_is_told(whole, tmp_path):
+    """Cut at each boundary of records and within each header: told, with every whole chunk read."""
+    known, place = Whole.of(whole), 8
+    while place < len(known.data) - 8:
+        for more in (0, 1, 9):
+            cut = changed(whole, tmp_path, lambda data, end=place + more: data[:end])
+            assert McapSource(cut).losses
+            assert not silent_loss(cut, known)
+        place += 9 + struct.unpack_from("<Q", known.data, place + 1)[0]
+
+
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4])
 def test_no_damage_is_silent(tmp_path, compression):
     """Of 120 random damages, each leaves all messages readable or is told."""
@@ -194,8 +253,7 @@ def test_no_damage_is_silent_2000(tmp_path, compression):
 
 def check_damage(path, bad, *, count):
     """Damage a file again and again; each result must be told or whole."""
-    whole, data = content_of(path), path.read_bytes()
-    spans = chunk_spans(data, path)
+    whole = Whole.of(path)
     for seed in range(count):
-        bad.write_bytes(corrupted(data, spans, np.random.default_rng(seed)))
+        bad.write_bytes(corrupted(whole.data, whole.spans, np.random.default_rng(seed)))
         assert not silent_loss(bad, whole), seed

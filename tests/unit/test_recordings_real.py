@@ -104,3 +104,53 @@ def test_a_cut_cloud_is_refused(tmp_path, kind):
         with pytest.raises(RecordingError):
             Cloud().convert(path, str(tmp_path / "e"))
     assert not (tmp_path / "e").exists()
+
+
+PCD = (
+    "VERSION .7\nFIELDS x y z\nSIZE {0} {0} {0}\nTYPE F F F\nCOUNT 1 1 1\nWIDTH {1}\nHEIGHT 1\n"
+    "POINTS {1}\nDATA {2}\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("head", "body", "reason"),
+    [
+        ((8, 2, "binary"), bytes(48), "floats of 4 bytes"),
+        ((4, 2, "packed"), bytes(24), "'packed'"),
+        ((4, 2, "ascii"), b"0 0 0\n1 x 0\n", "point 1 is damaged"),
+        ((4, 2, "ascii"), b"0 0 0\n1 0\n", "point 1 is damaged"),
+        ((4, 2, "ascii"), b"0 0 0\n", "cut short"),
+        ((4, 2, "binary_compressed"), b"\x08\0\0\0\xff\xff\0\0" + bytes(8), "65535 bytes"),
+    ],
+)
+def test_a_pcd_that_open3d_would_misread_is_refused(tmp_path, head, body, reason):
+    """Types, encodings and rows that Open3D turns into zeros are refused by name."""
+    path = tmp_path / "a.pcd"
+    path.write_bytes(PCD.format(*head).encode() + body)
+    with pytest.raises(RecordingError, match=reason):
+        Cloud().convert(path, str(tmp_path / "d"))
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift", "reason"),
+    [(1000, 0.0, "millimetres"), (1, 0.5, "lowest point"), (-1, 0.0, "z must point up")],
+)
+def test_a_cloud_in_other_units_or_axes_is_refused(tmp_path, scale, shift, reason):
+    """Millimetres, a table that is not at 0 and z downwards are refused in one line."""
+    cloud = o3d.io.read_point_cloud(str(RING))
+    points = np.asarray(cloud.points) * scale + [0, 0, shift]
+    moved = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    o3d.io.write_point_cloud(str(tmp_path / "a.ply"), moved)
+    with pytest.raises(RecordingError, match=reason):
+        Cloud().convert(tmp_path / "a.ply", str(tmp_path / "d"))
+
+
+def test_points_that_are_none_are_told(tmp_path):
+    """Points that are not finite are left out, and how many there were is told."""
+    cloud = o3d.io.read_point_cloud(str(RING))
+    points = np.asarray(cloud.points).copy()
+    points[:7] = np.nan
+    bare = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    o3d.io.write_point_cloud(str(tmp_path / "a.pcd"), bare)
+    done = Cloud().convert(tmp_path / "a.pcd", str(tmp_path / "d"))
+    assert any(line.startswith("7 points are not finite") for line in done.warnings)
