@@ -22,6 +22,7 @@ __all__ = ["Contour", "contour"]
 CLAMP = 0.02  # [cells], least distance of a vertex from the faces of its cell
 SHIFT_MAX = 0.4  # [cells], furthest that vertices move to match a volume
 VOLUME_ERROR = 5e-4  # relative, at which the shifting ends
+BLUR_POWER = 8  # how much a longer gradient counts against a shorter one
 SLACK = 1e-6  # envelope tests keep this clear of their limits
 
 
@@ -95,15 +96,30 @@ def _find_crossings(
     high[np.arange(len(low)), axis] += 1
     at_low, at_high = field[tuple(low.T)], field[tuple(high.T)]
     fraction = (at_low / (at_low - at_high)).astype(np.float64)
-    normal = _gradient(field, low) * (1.0 - fraction)[:, None]
-    normal += _gradient(field, high) * fraction[:, None]
-    length = np.sqrt((normal**2).sum(axis=1, keepdims=True))
-    normal /= np.maximum(length, 1e-9)
+    normal = _crossing_normals(_gradient(field, low), _gradient(field, high), fraction)
     cells = np.concatenate(rings)
     oriented = np.where((at_low < 0.0)[:, None], cells, cells[:, [0, 3, 2, 1]])
     return _Crossings(
         low=low, axis=axis, fraction=fraction, normal=normal, cells=cells, oriented=oriented
     )
+
+
+def _crossing_normals(
+    low: Float64[np.ndarray, "edges 3"],
+    high: Float64[np.ndarray, "edges 3"],
+    fraction: Float[np.ndarray, " edges"],
+) -> Float64[np.ndarray, "edges 3"]:
+    """Unit normals from the gradients at both ends.
+
+    Across an edge of the solid a central difference mixes two faces and comes out short, so the
+    longer gradient counts more.
+    """
+    lengths = [np.maximum(np.sqrt((g**2).sum(axis=1)), 1e-9) for g in (low, high)]
+    ratio = np.clip(lengths[1] / lengths[0], 0.1, 10.0) ** BLUR_POWER
+    share = fraction * ratio / (1.0 - fraction + fraction * ratio)
+    normal = low * ((1.0 - share) / lengths[0])[:, None] + high * (share / lengths[1])[:, None]
+    length = np.sqrt((normal**2).sum(axis=1, keepdims=True))
+    return normal / np.maximum(length, 1e-9)
 
 
 def _gradient(

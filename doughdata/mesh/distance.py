@@ -2,15 +2,15 @@
 
 All lengths here are in cells of the lattice. The closing is the set that no empty ball of radius R
 can reach: inflate every particle by R, then deflate by R. Two narrow bands of exact nearest
-neighbours carry it; a Euclidean distance transform finds the bands.
+neighbours carry it; distances between nodes, no further than needed, find the bands.
 """
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int
 
 from doughdata.registry import require_package
 
-__all__ = ["closing_field", "level_for_volume"]
+__all__ = ["closing_field", "level_for_volume", "nearest_node_distance"]
 
 ROUNDING = 0.87  # a particle lies within sqrt(3)/2 of the node it is rounded to
 
@@ -37,14 +37,15 @@ def closing_field(
     """
     spatial = require_package("scipy.spatial", extra="sim")
     inflated, seeds, outer = _inflate(points, shape, radius)
-    depth = _edt(inflated) - 0.5
+    reach = radius - level + band + 1.1  # beyond `near`
+    depth = nearest_node_distance(_rim(inflated), shape, reach=reach) - 0.5
     field = np.where(inflated, radius - depth, outer)
-    # depth is 0.5 + EDT rounding off by at most one cell
+    # depth is 0.5 + rounding off by at most one cell
     near = inflated & (np.abs(field - level) < band + 0.5)
     nodes = np.argwhere(near)
     distance, _ = spatial.cKDTree(seeds, balanced_tree=False, compact_nodes=False).query(nodes)
     field[near] = radius - distance
-    return field.astype(np.float32)
+    return field
 
 
 def _inflate(
@@ -54,16 +55,15 @@ def _inflate(
 ]:
     """Union of balls: its nodes, samples of its surface, and radius + distance outside of it."""
     spatial = require_package("scipy.spatial", extra="sim")
-    free = np.ones(shape, bool)
-    free[tuple(np.rint(points).astype(np.intp).T)] = False
-    rough = _edt(free)
+    occupied = np.rint(points).astype(np.intp)
+    rough = nearest_node_distance(occupied, shape, reach=radius + ROUNDING + 0.2)
     shell = np.abs(rough - (radius + 0.1)) < ROUNDING + 0.1
     nodes = np.argwhere(shell)
     tree = spatial.cKDTree(points, balanced_tree=False, compact_nodes=False)
     distance, nearest = tree.query(nodes)
     inflated = rough < radius
     inflated[shell] = distance < radius
-    outer = np.maximum(rough, radius).astype(np.float32)
+    outer = np.maximum(rough, np.float32(radius))
     outer[shell] = distance
     # the point of the surface that lies between an outer node and its nearest particle
     outside = distance >= radius
@@ -72,10 +72,37 @@ def _inflate(
     return inflated, seeds, outer
 
 
-def _edt(mask: Bool[np.ndarray, "nx ny nz"]) -> Float32[np.ndarray, "nx ny nz"]:
-    """Distance [cells] of every node to the nearest node where the mask is false."""
-    ndimage = require_package("scipy.ndimage", extra="sim")
-    return ndimage.distance_transform_edt(mask).astype(np.float32)
+def _rim(mask: Bool[np.ndarray, "nx ny nz"]) -> Int[np.ndarray, "nodes 3"]:
+    """The nodes outside a mask that share a grid edge with it."""
+    beside = np.zeros_like(mask)
+    for axis in range(3):
+        rows, marks = np.moveaxis(mask, axis, 0), np.moveaxis(beside, axis, 0)
+        marks[1:] |= rows[:-1]
+        marks[:-1] |= rows[1:]
+    return np.argwhere(beside & ~mask)
+
+
+def nearest_node_distance(
+    nodes: Int[np.ndarray, "nodes 3"], shape: tuple[int, int, int], *, reach: float
+) -> Float32[np.ndarray, "nx ny nz"]:
+    """Distance [cells] of every node to the nearest of some, exact up to `reach`, else `reach`.
+
+    Each offset writes its length, the longest first, so that the shortest stays: a quarter of the
+    time of a Euclidean distance transform of the whole lattice.
+    """
+    pad = int(reach)
+    steps = np.arange(-pad, pad + 1)
+    offsets = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)
+    length = np.sqrt((offsets**2).sum(axis=1))
+    order = np.argsort(-length, kind="stable")
+    order = order[length[order] < reach]
+    wide = np.full([n + 2 * pad for n in shape], reach, np.float32)
+    strides = np.array([wide.shape[1] * wide.shape[2], wide.shape[2], 1])
+    flat, index = wide.reshape(-1), np.unique((nodes + pad) @ strides)
+    for step, value in zip((offsets @ strides)[order].tolist(), length[order], strict=True):
+        flat[index + step] = value
+    inner = tuple(slice(pad, pad + n) for n in shape)
+    return np.ascontiguousarray(wide[inner])
 
 
 def level_for_volume(

@@ -18,7 +18,7 @@ __all__ = ["DualContouring", "DualContouringConfig"]
 class DualContouringConfig:
     """Settings of the mesher."""
 
-    solid: SolidConfig = field(default_factory=SolidConfig)
+    solid: SolidConfig = field(default_factory=lambda: SolidConfig(sharp=True))
     regularisation: float = 0.05  # pull of a vertex to the mean of its crossings
     label_spacing: float = 0.001  # [m], of the label grid
     simplify: float | None = None  # [m], how far fewer faces may move the surface; None = keep all

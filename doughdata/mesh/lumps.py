@@ -1,20 +1,29 @@
 """One closed shell a component: lumps bridged or dropped, hollows filled, nothing left empty."""
 
+from dataclasses import dataclass
+
 import numpy as np
-from jaxtyping import Float, Float32, Int, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from doughdata.registry import require_package
 from doughschemas import NO_COMPONENT
 
-__all__ = ["bridge_lumps", "drop_lumps", "fill_cavities", "seed_missing"]
+__all__ = ["Lumps", "bridge_lumps", "drop_lumps", "fill_cavities", "find_lumps", "seed_missing"]
 
 BRIDGE_RADIUS = 1.2  # [cells]; above sqrt(3)/2 nodes along a segment are connected by edges
 
 
-def _lumps(
-    labels: UInt8[np.ndarray, "nx ny nz"], share: float
-) -> tuple[Int[np.ndarray, "nx ny nz"], UInt8[np.ndarray, " lumps"], Int[np.ndarray, " lumps"]]:
-    """Number of every node's lump (from 1), owner of each lump, and whether it counts (0 or 1)."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lumps:
+    """Connected inside nodes; lump 0 is the outside."""
+
+    numbers: Int[np.ndarray, "nx ny nz"]  # lump of every node
+    owner: UInt8[np.ndarray, " lumps"]  # component of each
+    counts: Bool[np.ndarray, " lumps"]  # whether it is large enough to be kept
+
+
+def find_lumps(labels: UInt8[np.ndarray, "nx ny nz"], *, share: float) -> Lumps:
+    """Lumps of a labelled solid; those count that hold `share` of the largest of their label."""
     ndimage = require_package("scipy.ndimage", extra="sim")
     inside = labels != NO_COMPONENT
     numbers, count = ndimage.label(inside)
@@ -23,23 +32,20 @@ def _lumps(
     owner[numbers[inside]] = labels[inside]
     largest = np.zeros(NO_COMPONENT + 1)
     np.maximum.at(largest, owner[1:], size[1:])
-    counts = (size >= share * largest[owner]).astype(np.int64)
-    return numbers, owner, counts
+    counts = size >= share * largest[owner]
+    counts[0] = False
+    return Lumps(numbers=numbers, owner=owner, counts=counts)
 
 
 def drop_lumps(
-    field: Float32[np.ndarray, "nx ny nz"],
-    labels: UInt8[np.ndarray, "nx ny nz"],
-    *,
-    share: float,
+    field: Float32[np.ndarray, "nx ny nz"], labels: UInt8[np.ndarray, "nx ny nz"], lumps: Lumps
 ) -> None:
-    """Keep, in place, the lumps that hold at least `share` of the largest of their label."""
-    numbers, _, counts = _lumps(labels, share)
-    if counts[1:].all():
+    """Take away, in place, the lumps that do not count."""
+    if lumps.counts[1:].all():
         return
-    gone = counts == 0
+    gone = ~lumps.counts
     gone[0] = False
-    drop = gone[numbers]
+    drop = gone[lumps.numbers]
     labels[drop] = NO_COMPONENT
     field[drop] = 1.0
 
@@ -47,8 +53,8 @@ def drop_lumps(
 def bridge_lumps(
     field: Float32[np.ndarray, "nx ny nz"],
     labels: UInt8[np.ndarray, "nx ny nz"],
+    lumps: Lumps,
     *,
-    share: float,
     reach: float,
 ) -> bool:
     """Join, in place, lumps of one label by thin bars where they are nearest.
@@ -59,21 +65,19 @@ def bridge_lumps(
     Args:
         field: [cells], negative inside.
         labels: component of each inside node.
-        share: lumps smaller than this share of the largest are ignored.
+        lumps: of the labels; those that do not count are ignored.
         reach: longest bar [cells].
 
     Returns:
         Whether a bar was placed.
     """
     spatial = require_package("scipy.spatial", extra="sim")
-    numbers, owner, counts = _lumps(labels, share)
     placed = False
-    for label in np.unique(owner[1:]):
-        parts = np.flatnonzero((owner == label) & (counts == 1))
-        parts = parts[parts > 0]
+    for label in np.unique(lumps.owner[1:]):
+        parts = np.flatnonzero((lumps.owner == label) & lumps.counts)
         if len(parts) < 2:
             continue
-        nodes = {int(part): np.argwhere(numbers == part) for part in parts}
+        nodes = {int(part): np.argwhere(lumps.numbers == part) for part in parts}
         joined = nodes.pop(max(nodes, key=lambda part: len(nodes[part])))
         while nodes:
             tree = spatial.cKDTree(joined)

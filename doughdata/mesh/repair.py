@@ -58,6 +58,9 @@ def separate(field: Float32[np.ndarray, "nx ny nz"], labels: UInt8[np.ndarray, "
     Of two nodes of different labels in one cell the shallower goes. One pass over the thirteen
     directions is enough: dropping a node makes no new conflict.
     """
+    owners = labels[labels != NO_COMPONENT]
+    if not len(owners) or owners.min() == owners.max():
+        return
     for offset in CORNERS[1:]:
         for signs in _mirrors(offset):
             low, high = _pair_views(labels.shape, offset * signs)
@@ -150,16 +153,21 @@ def _flip_nodes(
     return chosen
 
 
-def well_composed_genus(inside: Bool[np.ndarray, "nx ny nz"]) -> int:
+def well_composed_genus(inside: Bool[np.ndarray, "nx ny nz"], *, shells: int | None = None) -> int:
     """First Betti number of a well-composed set: handles, and those of its hollows.
 
     Its contour has a vertex a crossed cell, a quad a crossed edge and twice as many edges, so its
     Euler characteristic is cells - crossed edges; b1 is the sum of 1 - chi / 2 over its shells.
+
+    Args:
+        inside: the set.
+        shells: lumps and hollows of it, where they are known; counted otherwise.
     """
-    ndimage = require_package("scipy.ndimage", extra="sim")
     codes = cell_codes(inside)
     cells = np.count_nonzero((codes != 0) & (codes != 255))
     rows = (np.moveaxis(inside, axis, 0) for axis in range(3))
     edges = sum(np.count_nonzero(row[1:] != row[:-1]) for row in rows)
-    shells = ndimage.label(inside)[1] + ndimage.label(~inside)[1] - 1
+    if shells is None:
+        ndimage = require_package("scipy.ndimage", extra="sim")
+        shells = ndimage.label(inside)[1] + ndimage.label(~inside)[1] - 1
     return int(shells - (cells - edges) // 2)

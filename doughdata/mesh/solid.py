@@ -1,6 +1,7 @@
 """From particles to one labelled signed-distance grid that every mesher contours."""
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int, Int64, UInt8
@@ -99,6 +100,7 @@ def _combine(
     best = np.full(shape, FAR, np.float32)
     second = np.full(shape, FAR, np.float32)
     labels = np.full(shape, NO_COMPONENT, np.uint8)
+    boxes = []
     for label, cloud in enumerate(clouds):
         if not len(cloud):
             continue
@@ -107,15 +109,25 @@ def _combine(
         size = (int(high[0] - low[0]), int(high[1] - low[1]), int(high[2] - low[2]))
         field = component_field(cloud - low, pairs[label], size, genus=genus[label], config=config)
         box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+        boxes.append((low, high))
         wins = field < best[box]
         second[box] = np.minimum(np.where(wins, best[box], field), second[box])
         best[box] = np.where(wins, field, best[box])
         labels[box][wins] = label
     field = np.maximum(best, 0.5 * (best - second))
     labels[field >= 0.0] = NO_COMPONENT
-    if np.count_nonzero([len(cloud) for cloud in clouds]) > 1:
+    # Each is repaired already, and stays so where the others are out of reach.
+    if any(_boxes_meet(a, b) for a, b in combinations(boxes, 2)):
         tidy(field, labels, config)
     return field, labels
+
+
+def _boxes_meet(
+    one: tuple[Int[np.ndarray, " 3"], Int[np.ndarray, " 3"]],
+    two: tuple[Int[np.ndarray, " 3"], Int[np.ndarray, " 3"]],
+) -> bool:
+    """Whether two boxes of nodes share a node."""
+    return bool((one[0] < two[1]).all() and (two[0] < one[1]).all())
 
 
 def shifted_field(

@@ -5,7 +5,7 @@ import pytest
 import skimage.measure
 from scipy import ndimage
 
-from doughdata.mesh.lumps import bridge_lumps, drop_lumps, fill_cavities, seed_missing
+from doughdata.mesh.lumps import bridge_lumps, drop_lumps, fill_cavities, find_lumps, seed_missing
 from doughdata.mesh.repair import make_well_composed, separate, well_composed_genus
 from doughschemas import NO_COMPONENT
 
@@ -67,7 +67,7 @@ def test_small_lumps_go_and_large_ones_stay() -> None:
     """A lump below the share of the largest is dropped, one above it stays."""
     field, labels = blocks((5, 5, 5), (20, 5, 5))
     labels[30, 10, 10], field[30, 10, 10] = 0, -1.0
-    drop_lumps(field, labels, share=0.02)
+    drop_lumps(field, labels, find_lumps(labels, share=0.02))
     assert ndimage.label(labels == 0)[1] == 2
     assert field[30, 10, 10] > 0
 
@@ -75,10 +75,10 @@ def test_small_lumps_go_and_large_ones_stay() -> None:
 def test_lumps_within_reach_are_bridged() -> None:
     """Two lumps of one label become one when a bar within reach joins them, else stay two."""
     field, labels = blocks((5, 5, 5), (13, 7, 5), (28, 5, 5))
-    assert bridge_lumps(field, labels, share=0.02, reach=6.0)
+    assert bridge_lumps(field, labels, find_lumps(labels, share=0.02), reach=6.0)
     make_well_composed(field, labels)
     assert ndimage.label(labels == 0)[1] == 2
-    assert not bridge_lumps(field, labels, share=0.02, reach=6.0)
+    assert not bridge_lumps(field, labels, find_lumps(labels, share=0.02), reach=6.0)
 
 
 def test_hollow_is_filled() -> None:
