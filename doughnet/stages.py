@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from doughnet.augment import Augmentation, augmented
 from doughnet.config import ModelConfig
+from doughnet.folded import fold
 from doughnet.losses import IGNORED, latent_loss, shape_loss
 from doughnet.model import DoughNet
 
@@ -78,14 +79,14 @@ class AutoencoderStage(nn.Module):
         config = self.model.config
         batch = augmented(batch, self.augmentation, seed=seed, components=config.components)
         latents = self.model.encode(batch["points"], batch["point_labels"])
-        logits, genus = self.model.autoencoder.decoder(latents, batch["queries"])
+        folded = fold(self.model.autoencoder.decoder, latents)  # the same masks at half the cost
         labels = query_classes(
             batch["query_labels"], batch["num_components"], components=config.components
         )
         loss = shape_loss(
-            logits,
+            folded(batch["queries"]),
             labels,
-            genus,
+            folded.genus,
             genus_classes(batch["genus"], config),
             genus_weights=self.class_weights,
         )
@@ -143,11 +144,13 @@ class DynamicsStage(nn.Module):
             batch["query_labels"], batch["num_components"], components=config.components
         )[:, 1:]
         classes = genus_classes(batch["genus"], config)[:, 1:]
-        logits, genus = decoder(latents.flatten(0, 1).detach(), queries)
+        folded = fold(decoder, latents.flatten(0, 1).detach())
+        with torch.no_grad():
+            logits = folded(queries)
         return shape_loss(
-            logits.detach(),
+            logits,
             labels.repeat(2, 1, 1).flatten(0, 1),
-            genus,
+            folded.genus,
             classes.repeat(2, 1, 1).flatten(0, 1),
             genus_weights=self.class_weights,
         ).genus
