@@ -18,7 +18,7 @@ __all__ = ["BatchedMuon", "orthogonalised"]
 
 
 class BatchedMuon(Muon):
-    """`torch.optim.Muon`, its options and its state, with another arithmetic."""
+    """`torch.optim.Muon` with Nesterov's momentum and AdamW's length of step, in float32."""
 
     @torch.no_grad()
     def step(self, closure: Callable[[], Any] | None = None) -> Any:
@@ -39,8 +39,9 @@ class BatchedMuon(Muon):
     def _move(self, parameters: list[Tensor], group: dict[str, Any]) -> None:
         """One step of matrices of one shape (Jordan et al. 2024; rates as Liu et al. 2025)."""
         directions = []
-        for parameter in parameters:
-            state, gradient = self.state[parameter], parameter.grad
+        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+        for parameter, gradient in zip(parameters, gradients, strict=True):
+            state = self.state[parameter]
             if "momentum_buffer" not in state:
                 state["momentum_buffer"] = torch.zeros_like(gradient)
             momentum = state["momentum_buffer"].lerp_(gradient, 1 - group["momentum"])
