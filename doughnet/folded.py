@@ -36,18 +36,24 @@ class FoldedDecoder:
 
     def __call__(self, points: Float[Tensor, "B S 3"]) -> Float[Tensor, "B S K_plus_1"]:
         """Logits of the masks at points [m], the outliers last."""
-        features = self.decoder.fourier(points)
-        features = torch.cat([features, torch.ones_like(features[..., :1])], dim=-1)
-        square = ((features @ self.metric) * features).sum(dim=-1, keepdim=True)
-        features = features * torch.rsqrt(square + EPSILON)
-        weights = torch.softmax(features @ self.ask.transpose(1, 2) + self.ask_offset, dim=-1)
-        return weights @ self.answer + self.answer_offset
+        # Fine detail is small differences of large numbers: no half precision here.
+        with torch.autocast(points.device.type, enabled=False):
+            features = self.decoder.fourier(points)
+            features = torch.cat([features, torch.ones_like(features[..., :1])], dim=-1)
+            square = ((features @ self.metric) * features).sum(dim=-1, keepdim=True)
+            features = features * torch.rsqrt(square + EPSILON)
+            weights = torch.softmax(features @ self.ask.transpose(1, 2) + self.ask_offset, dim=-1)
+            return weights @ self.answer + self.answer_offset
 
 
 def fold(decoder: Decoder, z_BTD: Float[Tensor, "B T D"]) -> FoldedDecoder:
     """Fold a decoder over latents; differentiable in both."""
     masks, genus = decoder.components_of(z_BTD)
-    attention, point_norm, kind = decoder.interpolate, decoder.point_norm, z_BTD.dtype
+    attention, point_norm, kind = (
+        decoder.interpolate,
+        decoder.point_norm,
+        decoder.embed.weight.dtype,
+    )
     # The products are few and are taken in double precision: what is left is the rounding of the
     # plain decoder itself. Weights meet weights first, so that no product is latents x D x D.
     embed = torch.cat([decoder.embed.weight, decoder.embed.bias[:, None]], dim=1).double()  # D F
@@ -55,7 +61,8 @@ def fold(decoder: Decoder, z_BTD: Float[Tensor, "B T D"]) -> FoldedDecoder:
     if isinstance(point_norm, nn.LayerNorm):
         embed = embed - embed.mean(dim=0, keepdim=True)  # a layer norm takes the mean away first
         offset = point_norm.bias.double()[:, None]
-    asked = torch.cat([point_norm.weight.double()[:, None] * embed, offset], dim=1)  # D F+1
+    scale = point_norm.get_parameter("weight").double()[:, None]
+    asked = torch.cat([scale * embed, offset], dim=1)  # D F+1
     share = masks.double().transpose(1, 2)  # B D K+1
     with torch.autocast(z_BTD.device.type, enabled=False):
         latents = decoder.latent_norm(z_BTD).double()

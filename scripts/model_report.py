@@ -20,10 +20,10 @@ ROWS = ("reconstruction", "ceiling", "single_step", "full_sequence", "final", "c
 COLUMNS = ("viou", "ciou", "accc", "accg", "balanced_accg")
 
 
-def evaluated(run: Path, dataset: str, split: str) -> dict[str, Any]:
+def evaluated(run: Path, dataset: str, split: str, sensor: str) -> dict[str, Any]:
     """The table of the run's weights; kept beside them."""
     command = [str(Path(sys.executable).with_name("doughnet")), "evaluate", "--json"]
-    where = ["--weights", str(run), "--dataset", dataset, "--split", split]
+    where = ["--weights", str(run), "--dataset", dataset, "--split", split, "--sensor", sensor]
     done = subprocess.run([*command, *where], check=True, stdout=subprocess.PIPE, text=True)
     (run / "table.json").write_text(done.stdout, encoding="utf-8")
     return json.loads(done.stdout)
@@ -50,7 +50,8 @@ def draw_curves(run: Path) -> dict[str, dict[str, float]]:
 
 def card(table: dict[str, Any], provenance: dict[str, Any], command: str) -> str:
     """The model card: data, command, table."""
-    data, budget = provenance["data"], provenance["budget"]
+    data = provenance["data"]
+    budget = ", ".join(f"{v:g} {k}" for k, v in provenance["budget"].items() if v is not None)
     head = f"| percent | {' | '.join(COLUMNS)} |\n{'|---' * (1 + len(COLUMNS))}|\n"
     rows = [(name, table[name]) for name in ROWS if name in table]
     rows += [(f"{name}, no labels given", row) for name, row in table["unlabelled"].items()]
@@ -61,7 +62,7 @@ def card(table: dict[str, Any], provenance: dict[str, Any], command: str) -> str
         f"# DoughNet, preset `{provenance['preset']}`\n\n"
         f"Trained on split `{data['split']}` of the dataset with fingerprint "
         f"`{data['fingerprint']}` ({data['samples']} samples of the last stage, sensor "
-        f"`{data['sensor']}`), {budget['minutes']} minutes a stage:\n\n    {command}\n\n"
+        f"`{data['sensor']}`), {budget} a stage:\n\n    {command}\n\n"
         f"{table['scenes']} held-out scenes, per frame at 1 mm, mean over frames:\n\n{head}{body}\n"
         f"Final frame, copy of the first: VIoU {table['copy_first_frame']['final_viou']:.1f}. "
         f"Frames in which masks and genus head disagree: {table['inconsistent']}.\n\n"
@@ -77,12 +78,14 @@ def main() -> None:
     parser.add_argument("--split", default="test")
     parser.add_argument("--ship", action="store_true", help="copy the weights into the package")
     options = parser.parse_args()
-    table = evaluated(options.run, options.dataset, options.split)
-    curves = draw_curves(options.run)
     loaded = load_weights(find_weights(options.run))
     provenance = dict(loaded.provenance)
-    preset, budget = provenance["preset"], provenance["budget"]
-    command = f"make bench-model MODEL_PRESET={preset} MODEL_MINUTES={budget['minutes']:g}"
+    preset, minutes = provenance["preset"], provenance["budget"]["minutes"]
+    sensor = provenance["data"]["sensor"]
+    table = evaluated(options.run, options.dataset, options.split, sensor)
+    curves = draw_curves(options.run)
+    command = f"make bench-model MODEL_PRESET={preset}"
+    command += "" if minutes is None else f" MODEL_MINUTES={minutes:g}"
     text = card(table, provenance, command)
     (options.run / "README.md").write_text(text, encoding="utf-8")
     if options.ship:

@@ -83,6 +83,23 @@ def test_predict_saves_a_page(trained: Path, scenes: str, tmp_path: Path) -> Non
     assert "default-src 'none'" in page
 
 
+def test_a_run_reports_itself(trained: Path, scenes: str) -> None:
+    """The report of a training holds the table, the curves of both stages and a card with each row
+    of the table.
+    """
+    script = Path(__file__).parents[2] / "scripts" / "model_report.py"
+    where = ["--run", str(trained), "--dataset", scenes, "--split", "train"]
+    done = subprocess.run([sys.executable, script, *where], check=True, capture_output=True,
+                          text=True)  # fmt: skip
+    found = json.loads(done.stdout)
+    assert found["losses"].keys() == {"autoencoder", "dynamics"}
+    assert json.loads((trained / "table.json").read_text()) == found["table"]
+    card = (trained / "README.md").read_text()
+    assert all(f"| {name} |" in card for name in ROWS)
+    assert "2 epochs a stage" in card
+    assert (trained / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_weights_in_the_package_are_the_default(
     trained: Path, scenes: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -133,6 +133,21 @@ def test_folding_changes_nothing(make, spread: float) -> None:
     assert plain.std() > 1e-3
 
 
+def test_folding_stays_precise_under_mixed_precision() -> None:
+    """Where all else is computed in bfloat16, masks of given latents are those of float32."""
+    torch.manual_seed(0)
+    decoder = DoughNet(NANO).autoencoder.decoder
+    latents, points = torch.randn(2, NANO.tokens, NANO.width), cloud()[0]
+    folded = fold(decoder, latents)
+    expected = folded(points)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert torch.equal(folded(points), expected)
+        mixed = fold(decoder, latents)
+        assert mixed.ask.dtype == torch.float32
+        torch.testing.assert_close(mixed.ask, folded.ask)
+        torch.testing.assert_close(mixed(points), expected, atol=0.05, rtol=0.05)
+
+
 def test_folding_keeps_gradients() -> None:
     """Latents have the same gradient through the folded decoder as through the plain one."""
     torch.manual_seed(0)
