@@ -4,7 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := demo-dataset
 
-.PHONY: help setup demo test test-slow check format bench lock wheel clean
+
+# The model that ships: 256 scenes to learn from, 64 that are held out.
+MODEL_DATA := model-dataset
+MODEL_RUN := model-run
+MODEL_PRESET := tiny
+MODEL_MINUTES := 300
+
+.PHONY: help setup demo test test-slow check format bench bench-model lock wheel clean
 
 help:
 	@echo "make demo       set up, then make, render, validate and draw a small dataset"
@@ -12,6 +19,7 @@ help:
 	@echo "make test-slow  the tests that take longer"
 	@echo "make check      lint, format, types, import contracts"
 	@echo "make bench      every benchmark, one JSON object a line"
+	@echo "make bench-model  data, training, learning curve and table of the model; hours; resumes"
 	@echo "make lock       write requirements.lock from the newest versions that fit"
 
 setup: $(VENV)/.ready
@@ -48,6 +56,16 @@ format: setup
 
 bench: setup
 	@for file in $$(grep -l __main__ benchmarks/*.py); do $(BIN)/python $$file --json || exit 1; done
+
+# Killed at any moment, the same command goes on. MODEL_MINUTES is the time of either stage.
+bench-model: setup
+	$(BIN)/doughdata generate --scenes rolls,doughnut --num-scenes 128 --dataset $(MODEL_DATA)
+	$(BIN)/doughdata generate --scenes rolls,doughnut --num-scenes 32 --split test --dataset $(MODEL_DATA)
+	$(BIN)/doughdata render --noise realsense --dataset $(MODEL_DATA)
+	for stage in autoencoder dynamics; do \
+	  $(BIN)/doughnet train $$stage --preset $(MODEL_PRESET) --minutes $(MODEL_MINUTES) --resume \
+	    --dataset $(MODEL_DATA) --out $(MODEL_RUN) || exit 1; done
+	$(BIN)/python scripts/model_report.py --run $(MODEL_RUN) --dataset $(MODEL_DATA)
 
 lock:
 	bash scripts/lock.sh

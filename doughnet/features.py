@@ -24,7 +24,7 @@ class FourierFeatures(nn.Module):
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
         self.scale = config.scale
-        self.size = 6 * config.frequencies + 3
+        self.octaves, self.size = config.frequencies, 6 * config.frequencies + 3
         powers = math.pi * 2.0 ** torch.arange(config.frequencies)
         self.register_buffer("frequencies", powers, persistent=False)
 

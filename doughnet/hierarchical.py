@@ -9,17 +9,20 @@ below its thickness.
 from collections.abc import Callable
 
 import torch
-from jaxtyping import Bool, Float, Int64, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from doughnet.lattice import Lattice
 
 __all__ = ["decode_all", "decode_labels"]
 
-CHUNK = 16384  # points evaluated at once: their weights over the latents stay in the cache
-Decoder = Callable[[Float[Tensor, "1 S 3"]], Float[Tensor, "1 S classes"]]
+CHUNK = 8192  # nodes evaluated at once: their weights over the latents stay in the cache
+Indices = Int[Tensor, "*nodes"]
+AtNodes = Callable[[Indices, Indices, Indices], Float[Tensor, "*nodes classes"]]
+Decoder = Callable[[Lattice], AtNodes]  # e.g. `lambda lattice: NodeDecoder(folded, lattice)`
 Labels = UInt8[Tensor, "nx ny nz"]
 Finer = UInt8[Tensor, "mx my mz"]
+Box = tuple[slice, slice, slice]
 
 
 def decode_labels(
@@ -28,7 +31,7 @@ def decode_labels(
     """Most likely mask at every node of a lattice, coarse to fine.
 
     Args:
-        decoder: logits at points [m], for example a `FoldedDecoder` of one shape.
+        decoder: logits at the nodes of a lattice, by their indices along x, y and z.
         lattice: where to decode; it is extended to whole coarse cells and cut again.
         strides: of the coarse levels, each twice the next; the last is 2, so that 1 follows.
     """
@@ -39,30 +42,45 @@ def decode_labels(
         shape=(cells[0] * top + 1, cells[1] * top + 1, cells[2] * top + 1),
         spacing=lattice.spacing,
     )
-    labels = decode_all(decoder, whole, stride=top)
+    at_nodes = decoder(whole)
+    labels = _every(at_nodes, whole, top)
     for stride in (*strides[1:], 1):
-        labels = _refined(decoder, whole, labels, stride)
+        labels = _refined(at_nodes, labels, stride)
     nx, ny, nz = lattice.shape
     return labels[:nx, :ny, :nz]
 
 
 def decode_all(decoder: Decoder, lattice: Lattice, *, stride: int = 1) -> Labels:
     """Most likely mask at every `stride`-th node, each evaluated."""
-    nx, ny, nz = ((n - 1) // stride + 1 for n in lattice.shape)
-    flat = torch.arange(nx * ny * nz)
-    return _evaluate(decoder, lattice, flat, stride).reshape(nx, ny, nz)
+    return _every(decoder(lattice), lattice, stride)
 
 
-def _refined(decoder: Decoder, lattice: Lattice, coarse: Labels, stride: int) -> Finer:
-    """Labels at half the spacing of `coarse`."""
-    open_cells = _mixed(coarse)
+def _every(at_nodes: AtNodes, lattice: Lattice, stride: int) -> Labels:
+    x, y, z = (torch.arange(0, n, stride) for n in lattice.shape)
+    slab = max(1, CHUNK // (len(y) * len(z)))
+    parts = [_likeliest(at_nodes(part[:, None, None], y[:, None], z)) for part in x.split(slab)]
+    return torch.cat(parts)
+
+
+def _refined(at_nodes: AtNodes, coarse: Labels, stride: int) -> Finer:
+    """Labels at half the spacing of `coarse`, which becomes `stride`."""
+    labels, open_cells = _doubled(coarse), _mixed(coarse)
     if stride > 1:  # detail between coarse nodes is up to a whole cell away from where it shows
         open_cells = _grown(open_cells)
-    labels, unsure = _doubled(coarse), _around(open_cells)
+    if not open_cells.any():
+        return labels
+    box = _bounding_box(open_cells)
+    unsure = _around(open_cells[box])
     unsure[::2, ::2, ::2] = False  # known from the coarse level
-    flat = unsure.flatten().nonzero()[:, 0]
-    labels.view(-1)[flat] = _evaluate(decoder, lattice, flat, stride)
+    local = unsure.nonzero(as_tuple=True)
+    x, y, z = (index + 2 * side.start for index, side in zip(local, box, strict=True))
+    for part in zip(x.split(CHUNK), y.split(CHUNK), z.split(CHUNK), strict=True):
+        labels[part] = _likeliest(at_nodes(*(stride * index for index in part)))
     return labels
+
+
+def _likeliest(logits: Float[Tensor, "*nodes classes"]) -> UInt8[Tensor, "*nodes"]:
+    return logits.argmax(dim=-1).to(torch.uint8)
 
 
 def _mixed(labels: Labels) -> Bool[Tensor, "cx cy cz"]:
@@ -73,6 +91,16 @@ def _mixed(labels: Labels) -> Bool[Tensor, "cx cy cz"]:
         low = torch.minimum(low.narrow(axis, 0, count), low.narrow(axis, 1, count))
         high = torch.maximum(high.narrow(axis, 0, count), high.narrow(axis, 1, count))
     return low != high
+
+
+def _bounding_box(cells: Bool[Tensor, "cx cy cz"]) -> Box:
+    """The smallest box that holds all marked cells, of which there is one."""
+    sides = []
+    for axis in range(3):
+        others = [a for a in range(3) if a != axis]
+        marked = cells.amax(dim=others).nonzero()[:, 0].tolist()
+        sides.append(slice(marked[0], marked[-1] + 1))
+    return sides[0], sides[1], sides[2]
 
 
 def _grown(cells: Bool[Tensor, "cx cy cz"]) -> Bool[Tensor, "cx cy cz"]:
@@ -92,8 +120,7 @@ def _around(cells: Bool[Tensor, "cx cy cz"]) -> Bool[Tensor, "mx my mz"]:
         shape[axis] = 2 * shape[axis] + 1
         nodes = torch.zeros(shape, dtype=torch.bool)
         for start in range(3):  # a cell has three such nodes along an axis, and shares two
-            count = 2 * (cells.shape[axis] - 1) + 1
-            part = nodes.narrow(axis, start, count)
+            part = nodes.narrow(axis, start, 2 * cells.shape[axis] - 1)
             index = [slice(None)] * 3
             index[axis] = slice(None, None, 2)
             part[tuple(index)] |= cells
@@ -106,13 +133,3 @@ def _doubled(labels: Labels) -> Finer:
     for axis in range(3):
         labels = labels.repeat_interleave(2, dim=axis).narrow(axis, 0, 2 * labels.shape[axis] - 1)
     return labels.contiguous()
-
-
-def _evaluate(
-    decoder: Decoder, lattice: Lattice, flat: Int64[Tensor, " nodes"], stride: int
-) -> UInt8[Tensor, " nodes"]:
-    labels = [
-        decoder(lattice.points(part, stride=stride)[None])[0].argmax(dim=-1).to(torch.uint8)
-        for part in flat.split(CHUNK)
-    ]
-    return torch.cat(labels) if labels else flat.to(torch.uint8)

@@ -35,6 +35,11 @@ class Lattice:
         """Position of the first node [m]."""
         return self.spacing * np.array(self.first, float)
 
+    def along(self, axis: int) -> Float[Tensor, " nodes"]:
+        """Coordinates [m] of the nodes along an axis."""
+        index = self.first[axis] + torch.arange(self.shape[axis])
+        return (self.spacing * index.double()).float()
+
     def points(self, flat: Int64[Tensor, " nodes"], *, stride: int = 1) -> Float[Tensor, "nodes 3"]:
         """Positions [m] of nodes by their flat index among every `stride`-th node."""
         shape = tuple((n - 1) // stride + 1 for n in self.shape)

@@ -20,7 +20,8 @@ class TopologyScore:
     """Metrics of one frame."""
 
     volume_iou: float  # VIoU: occupied against empty, components ignored
-    component_iou: float  # CIoU: mean over the true components under the best assignment
+    component_iou: float  # CIoU: mean over the true components under the best assignment; one
+    # that is missing counts 0, one too many lowers AccC alone
     right_count: bool  # AccC, before averaging
     right_genus: bool  # AccG: the count and all components' genera right under that assignment
     genus_share: float = 0.0  # true components that were found with their genus
@@ -72,7 +73,7 @@ def score(
     right = [predicted_genus[p] == true_genus[t] for p, t in pairs]
     return TopologyScore(
         volume_iou=volume,
-        component_iou=sum(overlap[p, t].item() for p, t in pairs) / max(count),
+        component_iou=sum(overlap[p, t].item() for p, t in pairs) / count[1],
         right_count=count[0] == count[1],
         right_genus=all(right) and count[0] == count[1],
         genus_share=sum(right) / count[1],

@@ -13,6 +13,7 @@ from doughnet.folded import fold
 from doughnet.hierarchical import decode_labels
 from doughnet.lattice import Lattice, workspace_lattice
 from doughnet.metrics import UNASSIGNED
+from doughnet.nodes import NodeDecoder
 
 __all__ = ["DoughNet", "Shape"]
 
@@ -78,7 +79,9 @@ class DoughNet(nn.Module):
     def decode(self, z_TD: Float[Tensor, "T D"], lattice: Lattice | None = None) -> Shape:
         """Labels and genera of one set of latents, on the whole workspace by default."""
         folded = fold(self.autoencoder.decoder, z_TD[None])
-        labels = decode_labels(folded, lattice or workspace_lattice())
+        labels = decode_labels(
+            lambda whole: NodeDecoder(folded, whole), lattice or workspace_lattice()
+        )
         classes = folded.genus[0].argmax(dim=-1).tolist()
         empty = self.config.empty_class
         return Shape(labels=labels, genus=tuple(None if c == empty else c for c in classes))

@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 
 from torch import nn
-from torch.optim import AdamW, Muon, Optimizer
+from torch.optim import AdamW, Optimizer
+
+from doughnet.muon import BatchedMuon
 
 __all__ = ["OptimiserConfig", "learning_rate", "optimisers", "set_learning_rate"]
 
@@ -38,12 +40,7 @@ def optimisers(module: nn.Module, config: OptimiserConfig) -> list[Optimizer]:
         found.append(AdamW(groups, lr=rate, weight_decay=decay, betas=(0.9, 0.98)))
     if matrices:
         found.append(
-            Muon(
-                matrices,
-                lr=config.learning_rate,
-                weight_decay=config.weight_decay,
-                adjust_lr_fn="match_rms_adamw",
-            )
+            BatchedMuon(matrices, lr=config.learning_rate, weight_decay=config.weight_decay)
         )
     return found
 

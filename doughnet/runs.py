@@ -17,12 +17,14 @@ from doughnet.data import EndlessBatches, LoaderConfig, class_weights, key_frame
 from doughnet.model import DoughNet
 from doughnet.stages import AutoencoderStage, DynamicsStage, Stage
 from doughnet.train import STATE, Budget, Fitted, Listener, TrainConfig, fit
-from doughnet.weights import load_weights
+from doughnet.weights import TENSORS, load_weights
 from doughschemas import BadInputError, UnknownNameError
 
 __all__ = ["STAGES", "RunConfig", "find_weights", "train_stage"]
 
 STAGES = ("autoencoder", "dynamics")
+PRETRAINED = Path(__file__).parent / "pretrained"  # one folder a preset; a wheel carries it
+SHIPPED = ("small", "tiny", "micro")  # the first that is there is the default
 STEPS = 3  # key frames of a dynamics sample: two predictions
 
 
@@ -93,15 +95,23 @@ def train_stage(
     )
 
 
-def find_weights(folder: str | Path) -> Path:
-    """The last stage's weights in what a training left, or the folder itself.
+def find_weights(folder: str | Path | None = None) -> Path:
+    """The last stage's weights in what a training left, or the folder itself; None = the shipped.
 
     Raises:
         BadInputError: there are none.
     """
+    if folder is None:
+        for name in SHIPPED:
+            if (PRETRAINED / name / TENSORS).is_file():
+                return PRETRAINED / name
+        raise BadInputError(
+            "this release ships no trained weights yet; train a model with `doughnet train "
+            "autoencoder`, then `dynamics`, and give its folder as --weights DIR"
+        )
     path = Path(folder)
     for candidate in (path, path / "dynamics", path / "autoencoder"):
-        if (candidate / "weights.safetensors").is_file():
+        if (candidate / TENSORS).is_file():
             return candidate
     raise BadInputError(
         f"{folder} holds no weights; train a model with `doughnet train autoencoder --out {folder}`"

@@ -57,7 +57,7 @@ class TrainConfig:
     average_decay: float = 0.999
     clip: float = 1.0  # longest gradient
     seed: int = 0
-    checkpoint_seconds: float = 60.0
+    checkpoint_seconds: float = 120.0
     record_every: int = 20  # steps
 
 

@@ -14,7 +14,7 @@ from doughnet.extras import train_package
 from doughnet.model import DoughNet
 from doughschemas import BadInputError
 
-__all__ = ["Weights", "load_weights", "save_weights", "write_atomically"]
+__all__ = ["TENSORS", "Weights", "load_weights", "save_weights", "write_atomically"]
 
 CONFIG, TENSORS = "config.json", "weights.safetensors"
 FORMAT = 1

@@ -25,7 +25,7 @@ COLUMNS = ("viou", "ciou", "accc", "accg", "balanced_accg")
 
 def command(
     dataset: DatasetOption = DATASET_DEFAULT,
-    weights: WeightsOption = "doughnet-run",
+    weights: WeightsOption = None,
     split: Annotated[str, typer.Option(metavar="S", help="test, train or all.")] = "test",
     sensor: SensorOption = "realsense",
     threads: ThreadsOption = None,
@@ -41,7 +41,8 @@ def command(
     from doughnet.runs import find_weights
     from doughnet.weights import load_weights
 
-    loaded = load_weights(find_weights(weights))
+    folder = find_weights(weights)
+    loaded = load_weights(folder)
     from doughdata.dataset import open_dataset
 
     frames = key_frames(open_dataset(dataset), sensor)
@@ -57,7 +58,7 @@ def command(
         table = evaluate(
             loaded.model, sequences, progress=lambda done, every: bar.advance(done / every)
         )
-    table = {"dataset": dataset, "weights": weights, "split": split, **table}
+    table = {"dataset": dataset, "weights": str(folder), "split": split, **table}
     if as_json:
         emit_json(table)
     else:

@@ -11,8 +11,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 __all__ = ["SensorOption", "ShareBar", "ThreadsOption", "WeightsOption", "use_threads"]
 
 WeightsOption = Annotated[
-    str,
-    typer.Option("--weights", metavar="DIR", help="Folder that `doughnet train` made (its --out)."),
+    str | None,
+    typer.Option(
+        "--weights",
+        metavar="DIR",
+        help="Folder that `doughnet train` made, its --out (default: the shipped weights).",
+    ),
 ]
 SensorOption = Annotated[
     str, typer.Option("--sensor", metavar="SENSOR", help="Depth layer that the model looks at.")

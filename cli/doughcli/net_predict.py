@@ -22,7 +22,7 @@ EPILOG = "Example: doughnet predict --weights doughnet-run --scene 0 --save scen
 def command(
     save: Annotated[Path, typer.Option("--save", metavar="X.html", help="Where the page goes.")],
     dataset: DatasetOption = DATASET_DEFAULT,
-    weights: WeightsOption = "doughnet-run",
+    weights: WeightsOption = None,
     scene: Annotated[int, typer.Option(min=0, metavar="I", help="scene_index.")] = 0,
     sensor: SensorOption = "realsense",
     threads: ThreadsOption = None,

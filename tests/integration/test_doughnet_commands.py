@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from doughcli.net import app
+from doughnet import runs
+from doughnet.config import PRESETS
 from doughschemas import BadInputError
 from tests.closed_form import cut_ring, joined_bars
 from tests.dataset_helpers import new_writer, write_examples
@@ -78,6 +81,40 @@ def test_predict_saves_a_page(trained: Path, scenes: str, tmp_path: Path) -> Non
     page = (tmp_path / "scene.html").read_text(encoding="utf-8")
     assert "observation, prediction, truth" in page
     assert "default-src 'none'" in page
+
+
+def test_a_run_reports_itself(trained: Path, scenes: str) -> None:
+    """The report of a training holds the table, the curves of both stages and a card with each row
+    of the table.
+    """
+    script = Path(__file__).parents[2] / "scripts" / "model_report.py"
+    where = ["--run", str(trained), "--dataset", scenes, "--split", "train"]
+    done = subprocess.run([sys.executable, script, *where], check=True, capture_output=True,
+                          text=True)  # fmt: skip
+    found = json.loads(done.stdout)
+    assert found["losses"].keys() == {"autoencoder", "dynamics"}
+    assert json.loads((trained / "table.json").read_text()) == found["table"]
+    card = (trained / "README.md").read_text()
+    assert all(f"| {name} |" in card for name in ROWS)
+    assert "2 epochs a stage" in card
+    assert (trained / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_weights_in_the_package_are_the_default(
+    trained: Path, scenes: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without --weights the shipped ones are used, and one line says so if there are none."""
+    monkeypatch.setattr(runs, "PRETRAINED", tmp_path / "pretrained")
+    page = tmp_path / "page.html"
+    arguments = ["predict", "--dataset", scenes, "--sensor", "none", "--save", str(page)]
+    with pytest.raises(BadInputError, match="ships no trained weights yet"):
+        app(arguments)
+    assert not page.exists()
+    shutil.copytree(trained / "dynamics", tmp_path / "pretrained" / "tiny")
+    app(arguments, standalone_mode=False)
+    assert page.exists()
+    for name in runs.SHIPPED:  # a wheel carries what lies there, and a preset has that name
+        assert name in PRESETS
 
 
 def test_predict_reconstructs_a_recording(trained: Path, tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from doughnet.folded import fold
 from doughnet.hierarchical import decode_all, decode_labels
 from doughnet.lattice import Lattice, workspace_lattice
 from doughnet.model import DoughNet
+from doughnet.nodes import NodeDecoder
 from doughschemas import BadInputError, UnknownNameError
 
 NANO = ModelConfig(latents=12, width=32, heads=2, encoder_depth=1, manipulator_depth=0,
@@ -132,6 +133,21 @@ def test_folding_changes_nothing(make, spread: float) -> None:
     assert plain.std() > 1e-3
 
 
+def test_folding_stays_precise_under_mixed_precision() -> None:
+    """Where all else is computed in bfloat16, masks of given latents are those of float32."""
+    torch.manual_seed(0)
+    decoder = DoughNet(NANO).autoencoder.decoder
+    latents, points = torch.randn(2, NANO.tokens, NANO.width), cloud()[0]
+    folded = fold(decoder, latents)
+    expected = folded(points)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert torch.equal(folded(points), expected)
+        mixed = fold(decoder, latents)
+        assert mixed.ask.dtype == torch.float32
+        torch.testing.assert_close(mixed.ask, folded.ask)
+        torch.testing.assert_close(mixed(points), expected, atol=0.05, rtol=0.05)
+
+
 def test_folding_keeps_gradients() -> None:
     """Latents have the same gradient through the folded decoder as through the plain one."""
     torch.manual_seed(0)
@@ -158,6 +174,21 @@ def blobs(points: torch.Tensor) -> torch.Tensor:
     return torch.cat([inside, torch.zeros_like(inside[..., :1])], dim=-1)
 
 
+def at_nodes(decoder):
+    """A decoder of points as one of nodes."""
+
+    def on(lattice: Lattice):
+        corner = torch.tensor(lattice.first)
+
+        def logits(*index: torch.Tensor) -> torch.Tensor:
+            nodes = torch.stack(torch.broadcast_tensors(*index), dim=-1)
+            return decoder(lattice.spacing * (corner + nodes))
+
+        return logits
+
+    return on
+
+
 @pytest.mark.parametrize("strides", [(4, 2), (2,)])
 def test_coarse_to_fine_finds_every_node(strides: tuple[int, ...]) -> None:
     """On shapes thicker than a coarse cell the hierarchy gives every node its plain label, and it
@@ -167,14 +198,46 @@ def test_coarse_to_fine_finds_every_node(strides: tuple[int, ...]) -> None:
 
     def counted(points: torch.Tensor) -> torch.Tensor:
         nonlocal asked
-        asked += points.shape[1]
+        asked += points[..., 0].numel()
         return blobs(points)
 
     lattice = Lattice(first=(-71, -70, 0), shape=(143, 141, 47))  # no whole number of cells
-    found = decode_labels(counted, lattice, strides=strides)
-    assert torch.equal(found, decode_all(blobs, lattice))
+    found = decode_labels(at_nodes(counted), lattice, strides=strides)
+    assert torch.equal(found, decode_all(at_nodes(blobs), lattice))
     assert set(found.unique().tolist()) == {0, 1, 2, 3}
     assert asked < 0.25 * lattice.count
+
+
+def test_a_lattice_without_dough_is_empty() -> None:
+    """Where every node is empty, nothing is refined and every label says so."""
+    lattice = Lattice(first=(-9, -9, 0), shape=(19, 18, 10))
+    nothing = at_nodes(lambda points: torch.tensor([0.0, 1.0]).expand(*points.shape[:-1], 2))
+    assert torch.equal(
+        decode_labels(nothing, lattice), torch.ones(lattice.shape, dtype=torch.uint8)
+    )
+
+
+@pytest.mark.parametrize("make", [modern, classic])
+def test_tables_change_nothing(make) -> None:
+    """Look-ups along the axes give every node the plain decoder's logits, one by one and spread
+    over the axes alike.
+    """
+    torch.manual_seed(0)
+    model = DoughNet(make(NANO)).eval()
+    for parameter in model.autoencoder.decoder.parameters():
+        torch.nn.init.normal_(parameter, std=0.3)
+    lattice = Lattice(first=(-20, 5, 0), shape=(30, 20, 10), spacing=3e-3)
+    with torch.inference_mode():
+        latents = model.encode(*cloud())
+        decoder = NodeDecoder(fold(model.autoencoder.decoder, latents), lattice, shape=1)
+        flat = torch.arange(lattice.count)
+        plain, _ = model.autoencoder.decoder(latents[1:], lattice.points(flat)[None])
+        found = decoder(*torch.unravel_index(flat, lattice.shape))
+        x, y, z = (torch.arange(n) for n in lattice.shape)
+        spread = decoder(x[:, None, None], y[:, None], z)
+    assert plain.std() > 0.03
+    torch.testing.assert_close(found, plain[0], rtol=0, atol=1e-5)
+    torch.testing.assert_close(spread.flatten(0, 2), found, rtol=1e-5, atol=1e-5)
 
 
 def test_lattice_points_are_multiples_of_the_spacing() -> None:

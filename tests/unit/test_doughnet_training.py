@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from doughnet.averaging import WeightAverage
 from doughnet.config import ModelConfig
 from doughnet.gate import train_and_score
 from doughnet.model import DoughNet
+from doughnet.muon import BatchedMuon, orthogonalised
 from doughnet.optimisers import OptimiserConfig, learning_rate, optimisers
 from doughnet.procedural import stream
 from doughnet.stages import AutoencoderStage, DynamicsStage
@@ -50,6 +52,12 @@ def tensors(folder: Path) -> dict[str, torch.Tensor]:
     return load_weights(folder).model.state_dict()
 
 
+def saved_step(out: Path) -> int:
+    """Step of the newest weights, 0 before there are any."""
+    path = out / "config.json"
+    return json.loads(path.read_text())["state"]["step"] if path.exists() else 0
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("whole")
@@ -72,13 +80,13 @@ def test_killed_and_resumed_gives_the_same_weights(whole: Path, tmp_path: Path) 
     }
     command = [sys.executable, "-c", SCRIPT, str(out)]
     process = subprocess.Popen(command, env=environment, start_new_session=True)
-    until = time.monotonic() + 120
-    while not (out / "training.pt").exists() and time.monotonic() < until:
-        time.sleep(0.02)
+    until, least = time.monotonic() + 120, random.Random().randrange(1, STEPS - 20)
+    while saved_step(out) < least and time.monotonic() < until:
+        time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
     process.wait()
     state = torch.load(out / "training.pt", weights_only=True)
-    assert state["step"] < STEPS, "killed too late to mean anything"
+    assert least <= state["step"] < STEPS, "not killed where it means anything"
     subprocess.run(command, env=environment, check=True)
     one, two = tensors(whole), tensors(out)
     assert all(torch.equal(one[name], two[name]) for name in one)
@@ -176,6 +184,33 @@ def test_muon_gets_the_matrices_between_tokens() -> None:
     assert all(".attention." in n or ".feed_forward." in n for n in held[1])
     assert any("genus" in n for n in held[0])
     assert len(optimisers(stage, OptimiserConfig(muon=False))) == 1
+
+
+def test_muon_is_the_librarys() -> None:
+    """Ten steps of float32 Muon are ten of `torch.optim.Muon` within the latter's bfloat16, and a
+    singular value between 1e-3 and 1 of the norm ends near 1.
+    """
+    rng = torch.Generator().manual_seed(0)
+    starts = [torch.randn(shape, generator=rng) for shape in ((24, 40), (40, 24), (24, 40))]
+    ends = []
+    for make, options in (
+        (BatchedMuon, {}),
+        (torch.optim.Muon, {"adjust_lr_fn": "match_rms_adamw"}),
+    ):
+        parameters = [torch.nn.Parameter(start.clone()) for start in starts]
+        optimiser = make(parameters, lr=0.02, weight_decay=0.1, **options)
+        for step in range(10):
+            for k, parameter in enumerate(parameters):
+                parameter.grad = torch.sin(parameter.detach() * (k + 1) + step)
+            optimiser.step()
+        ends.append([parameter.detach() for parameter in parameters])
+    for start, ours, theirs in zip(starts, *ends, strict=True):
+        assert (ours - theirs).norm() < 0.02 * (ours - start).norm()
+    spectrum = torch.logspace(-3, 0, 16)
+    left, right = (torch.linalg.qr(torch.randn(2, 16, 16, generator=rng))[0] for _ in range(2))
+    found = torch.linalg.svdvals(orthogonalised(left @ torch.diag(spectrum) @ right, steps=8))
+    assert (found > 0.5).all()
+    assert (found < 1.3).all()
 
 
 def test_the_learning_rate_rises_stays_and_falls_to_zero() -> None:
