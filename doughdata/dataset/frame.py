@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from doughdata.dataset.commits import RECORDED
+from doughdata.dataset.contacts import FrameContacts
 from doughdata.dataset.layers import (
     decode_color,
     decode_depth,
@@ -89,6 +90,15 @@ class Frame:
         """Layer `topology`: labels, genus, scene graph, contacts."""
         shard = self._dataset.layer("topology", self.scene_index)
         return decode_frame_topology(shard, *self._key, num_particles=self._num_particles)
+
+    @cached_property
+    def contacts(self) -> FrameContacts:
+        """What touches what; from the layers `sim` and `topology`, None where one is missing.
+
+        Raises:
+            MissingLayerError: the scene was written in format 1.0; the message names the command.
+        """
+        return self._dataset.read_contacts(*self._key)
 
     @cached_property
     def events(self) -> tuple[TopologyEvent, ...]:

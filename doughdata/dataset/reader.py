@@ -18,6 +18,7 @@ import pyarrow as pa
 
 from doughdata.dataset.assets import resolve_path
 from doughdata.dataset.commits import RECORDED, CommitLog, CommitRecord
+from doughdata.dataset.contacts import CONTACT_COLUMNS, FrameContacts
 from doughdata.dataset.frame import Frame
 from doughdata.dataset.info import read_info
 from doughdata.dataset.layers import (
@@ -144,7 +145,7 @@ class Dataset:
         if name not in here.tables and self._store.exists(path):
             here.tables[name] = read_table(self._store, path)
         if name not in here.tables:
-            here.tables = build_tables(self._store, here.log, num_frames=self.num_frames)
+            here.tables = build_tables(self._store, here.log, here.info)
         return here.tables[name]
 
     def scene(self, scene_index: int) -> Scene:
@@ -194,6 +195,39 @@ class Dataset:
         count = int(sim.array("num_particles").row(sim.rows.start(scene_index)))
         shard = self.layer("topology", scene_index)
         return decode_topology(shard, scene_index, num_particles=count)
+
+    def read_contacts(self, scene_index: int, frame_index: int) -> FrameContacts:
+        """What touches what in one key frame.
+
+        Raises:
+            MissingLayerError: there is no `sim` layer, or it is of format 1.0 and nobody computed
+                the contacts; the message names the command that does it.
+        """
+        found: dict[str, Any] = {}
+        for layer, columns in CONTACT_COLUMNS.items():
+            try:
+                shard = self.layer(layer, scene_index)
+            except MissingLayerError:
+                if layer == "sim":
+                    raise
+                continue
+            frames = shard.frames_with_contacts()
+            row = frames.frame_rows(scene_index, frame_index).start
+            found |= {name: frames.column(name)[row] for name, _ in columns}
+        table = found["table_contacts"]
+        if table is None or table != table:  # a column of nulls comes as None or NaN
+            raise MissingLayerError(
+                f"{self.uri}: scene {scene_index} has no contacts, it was written in format 1.0; "
+                f"`doughdata migrate --dataset {self.uri}` computes them"
+            )
+        fingers, pairs = found["finger_contacts"], found.get("touching_components")
+        itself = found.get("self_contact")
+        return FrameContacts(
+            fingers=None if fingers is None else tuple(fingers),
+            table=int(found["table_contacts"]),
+            components=None if pairs is None else int(pairs),
+            itself=None if itself is None else bool(itself),
+        )
 
     def read_meshes(self, scene_index: int, frame_index: int) -> ComponentMeshes:
         """Meshes and label grid of one key frame."""

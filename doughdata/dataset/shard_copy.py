@@ -14,6 +14,8 @@ import pyarrow as pa
 
 from doughdata.dataset.arrays import ArraySpec, ShardedArray, encode_arrays
 from doughdata.dataset.commits import CommitRecord
+from doughdata.dataset.completion import completed
+from doughdata.dataset.contacts import CONTACT_COLUMNS
 from doughdata.dataset.shards import ARRAYS, encode_table, read_table
 from doughdata.dataset.store import Store
 from doughschemas import DamagedDatasetError
@@ -78,7 +80,7 @@ def copied_files(
     """
     files = {name: _verified(copy.store, commit, name) for name in commit.files}
     tables = {name: data for name, data in files.items() if name.endswith(".parquet")}
-    new_tables = {name: _table(copy, commit, name) for name in tables}
+    new_tables = {name: _table(copy, commit, base, name) for name in tables}
     attributes = {"layer": new.layer, "shard": new.shard, "scenes": list(new.scenes)}
     if all(index in copy.scenes for index in {*base.scenes, *commit.scenes}):
         arrays = {name: data for name, data in files.items() if name not in tables}
@@ -106,9 +108,11 @@ def _group(data: bytes, attributes: Mapping[str, Any]) -> bytes:
     return json.dumps({**group, "attributes": {**group["attributes"], **attributes}}).encode()
 
 
-def _table(copy: ShardCopy, commit: CommitRecord, name: str) -> pa.Table:
-    """The rows of the chosen scenes, renumbered."""
+def _table(copy: ShardCopy, commit: CommitRecord, base: CommitRecord, name: str) -> pa.Table:
+    """The rows of the chosen scenes, renumbered, with the columns of the newest version."""
     table = read_table(copy.store, f"{commit.path}/{name}")
+    if name == "frames.parquet" and commit.layer in CONTACT_COLUMNS:
+        table = completed(copy.store, commit, base, table, num_frames=copy.num_frames)
     if "scene_index" not in table.column_names:
         return table
     old = table["scene_index"].to_numpy()

@@ -13,6 +13,7 @@ from doughdata.dataset.arrays import ArraySpec, ShardedArray
 from doughdata.dataset.commits import CommitRecord
 from doughdata.dataset.spool import SpooledArray
 from doughdata.dataset.store import Store
+from doughdata.dataset.supplements import with_contacts
 from doughschemas import SCHEMA_VERSION, DamagedDatasetError
 
 __all__ = ["Encoded", "LayerShard", "ShardRows", "TableIndex", "encode_table", "read_table"]
@@ -46,9 +47,9 @@ class Encoded:
     tables: dict[str, pa.Table]
 
 
-def encode_table(table: pa.Table) -> bytes:
+def encode_table(table: pa.Table, *, version: str = SCHEMA_VERSION) -> bytes:
     """A Parquet file: zstd, page checksums, `schema_version` in the footer."""
-    table = table.replace_schema_metadata({"schema_version": SCHEMA_VERSION})
+    table = table.replace_schema_metadata({"schema_version": version})
     buffer = BytesIO()
     pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
     return buffer.getvalue()
@@ -157,5 +158,13 @@ class LayerShard:
         """A table of the layer, by file name without suffix."""
         if name not in self._tables:
             table = read_table(self._store, f"{self.commit.path}/{name}.parquet")
+            self._tables[name] = TableIndex(table, num_frames=self.rows.num_frames)
+        return self._tables[name]
+
+    def frames_with_contacts(self) -> TableIndex:
+        """The table `frames`; of a commit of format 1.0 with the columns that were added since."""
+        name = "frames with contacts"
+        if name not in self._tables:
+            table = with_contacts(self._store, self.commit, self.table("frames").table)
             self._tables[name] = TableIndex(table, num_frames=self.rows.num_frames)
         return self._tables[name]

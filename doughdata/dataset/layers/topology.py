@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow as pa
 
 from doughdata.dataset.arrays import ArraySpec, padded_length
+from doughdata.dataset.contacts import contact_arrays, piece_contacts
 from doughdata.dataset.layers.columns import frame_columns, int_lists, vectors
 from doughdata.dataset.shards import Encoded, LayerShard, ShardRows, TableIndex
 from doughschemas import STRAY, BadInputError, FrameTopology, SceneGraph, Topology, TopologyEvent
@@ -114,6 +115,7 @@ def _frames_table(topologies: Mapping[int, Topology]) -> pa.Table:
             "ambiguous_reason": pa.array([f.ambiguous_reason for f in frames], pa.string()),
             "static_num_components": np.concatenate(static).astype(np.int32),
             "static_genus": int_lists([g for t in topologies.values() for g in t.static_genus]),
+            **contact_arrays("topology", piece_contacts(frames)),
         }
     )
 
