@@ -55,7 +55,8 @@ def computed_columns(store: Store, shard: LayerShard, sim: LayerShard) -> dict[s
     for index in shard.commit.scenes:
         if layer == "sim":
             text = shard.table("scenes").scene(index)["parameters"][0].as_py()
-            scene = scene_from_json(loads(text), locate=partial(resolve_path, store))
+            locate = partial(resolve_path, store)
+            scene = scene_from_json(loads(text), locate=locate, stored=True)
             found = particle_contacts(decode_particles(shard, index), scene)
         else:
             count = int(sim.array("num_particles").row(sim.rows.start(index)))

@@ -69,7 +69,7 @@ class Frame:
         base = self._dataset.base_layer(self.scene_index)
         sim = self._dataset.layer(base, self.scene_index)
         frames = sim.table("frames")
-        return float(frames.column("timestamp")[frames.frame_rows(*self._key).start])
+        return float(frames.value("timestamp", frames.frame_rows(*self._key).start))
 
     @cached_property
     def particles(self) -> FrameParticles:
@@ -82,7 +82,7 @@ class Frame:
         return FrameParticles(
             positions=sim.array("positions").row(row)[:count],
             object_ids=sim.array("object_ids").row(row)[:count],
-            spacing=float(scenes.column("particle_spacing")[at]),
+            spacing=float(scenes.value("particle_spacing", at)),
         )
 
     @cached_property
@@ -123,14 +123,16 @@ class Frame:
         sim = self._dataset.layer("sim", self.scene_index)
         frames, poses = sim.table("frames"), sim.table("tool_poses")
         at, here = frames.frame_rows(*self._key).start, poses.frame_rows(*self._key)
+        frames.load(("action", "opening"), slice(at, at + 1))
+        poses.load(("position", "quaternion"), here)
         scene = self._dataset.scene(self.scene_index)
-        action = int(frames.column("action")[at])
+        action = int(frames.value("action", at))
         return FrameTools(
             tool=scene.tools[scene.actions[action].tool],
             action=action,
-            position=poses.column("position")[here].copy(),
-            quaternion=poses.column("quaternion")[here].copy(),
-            opening=float(frames.column("opening")[at]),
+            position=poses.values("position", here).copy(),
+            quaternion=poses.values("quaternion", here).copy(),
+            opening=float(frames.value("opening", at)),
         )
 
     def depth(self, sensor: str) -> DepthViews:

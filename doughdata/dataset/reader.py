@@ -152,10 +152,12 @@ class Dataset:
         """What a scene was made from; meshes have paths on this machine."""
         scenes = self._here.scenes
         if scene_index not in scenes:
-            table = self.layer("sim", scene_index).table("scenes").scene(scene_index)
-            data = json.loads(table["parameters"][0].as_py())
+            table = self.layer("sim", scene_index).table("scenes")
+            data = json.loads(table.value("parameters", table.scene_rows(scene_index).start))
             locate = partial(resolve_path, self._store)
-            scenes[scene_index] = scene_from_json(data, name=data["scene_id"], locate=locate)
+            scenes[scene_index] = scene_from_json(
+                data, name=data["scene_id"], locate=locate, stored=True
+            )
         return scenes[scene_index]
 
     def frame(self, *, scene: int, frame: int) -> Frame:
@@ -213,7 +215,7 @@ class Dataset:
                 continue
             frames = shard.frames_with_contacts()
             row = frames.frame_rows(scene_index, frame_index).start
-            found |= {name: frames.column(name)[row] for name, _ in columns}
+            found |= {name: frames.value(name, row) for name, _ in columns}
         table = found["table_contacts"]
         if table is None or table != table:  # a column of nulls comes as None or NaN
             raise MissingLayerError(

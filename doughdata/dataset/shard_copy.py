@@ -88,7 +88,10 @@ def copied_files(
     else:
         encoded = encode_arrays(_arrays(copy, commit, base), attributes=attributes)
         arrays = {f"{ARRAYS}/{name}": data for name, data in encoded.items()}
-    return {**arrays, **{name: encode_table(table) for name, table in new_tables.items()}}
+    return {
+        **arrays,
+        **{name: encode_table(table, parts=True) for name, table in new_tables.items()},
+    }
 
 
 def _verified(store: Store, commit: CommitRecord, name: str) -> bytes:

@@ -270,7 +270,9 @@ def encode_files(encoded: Encoded, commit: CommitRecord) -> dict[str, bytes | Pa
         **encode_arrays(encoded.arrays, attributes=attributes),
         **spooled_files(encoded.arrays),
     }
-    tables = {f"{name}.parquet": encode_table(table) for name, table in encoded.tables.items()}
+    tables = {
+        f"{name}.parquet": encode_table(table, parts=True) for name, table in encoded.tables.items()
+    }
     return {**{f"{ARRAYS}/{name}": data for name, data in arrays.items()}, **tables}
 
 

@@ -30,11 +30,16 @@ def scene_to_json(scene: Scene) -> dict[str, Any]:
 
 
 def scene_from_json(
-    data: Mapping[str, Any], *, name: str = "scene", locate: Callable[[str], str] = str
+    data: Mapping[str, Any],
+    *,
+    name: str = "scene",
+    locate: Callable[[str], str] = str,
+    stored: bool = False,
 ) -> Scene:
     """Build a scene from JSON; a tool or the material may be the name of a preset.
 
-    `locate` says where a mesh file that the scene names lies on this machine.
+    `locate` says where a mesh file that the scene names lies on this machine. The physical limits
+    of a `stored` scene were checked before it was made.
 
     Raises:
         SceneError: unknown or missing fields, wrong types, or outside physical limits.
@@ -66,7 +71,8 @@ def scene_from_json(
         if isinstance(material, str)
         else _build(Material, material, f"{name}: material")
     )
-    return check_scene(_located(_build(Scene, {**given, **parts}, name), locate))
+    scene = _located(_build(Scene, {**given, **parts}, name), locate)
+    return scene if stored else check_scene(scene)
 
 
 def read_scenes(path: str | Path) -> list[Scene]:
