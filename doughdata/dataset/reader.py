@@ -59,6 +59,7 @@ class _Opened:
     tables: dict[str, pa.Table] = field(default_factory=dict)
     scenes: dict[int, Scene] = field(default_factory=dict)
     fresh: dict[str, dict[str, CommitRecord]] = field(default_factory=dict)
+    places: dict[int, str] = field(default_factory=dict)  # scene_index -> shard
     shards: OrderedDict[tuple[str, str], LayerShard] = field(default_factory=OrderedDict)
 
 
@@ -285,13 +286,17 @@ class Dataset:
         return self._opened[pid]
 
     def _shard_of(self, scene_index: int) -> str:
-        plans = self._here.plans
+        here = self._here
+        if scene_index in here.places:
+            return here.places[scene_index]
+        plans = here.plans
         total = sum(plan.count for plan in plans)
         if not 0 <= scene_index < total:
             raise BadInputError(f"{self.uri}: no scene {scene_index} (it has 0..{total - 1})")
         plan = plans[bisect_right(plans, scene_index, key=lambda p: p.first_scene_index) - 1]
         place = (scene_index - plan.first_scene_index) // plan.scenes_per_shard
-        return f"{plan.first_shard + place:05d}"
+        here.places[scene_index] = f"{plan.first_shard + place:05d}"
+        return here.places[scene_index]
 
     def _open(self, commit: CommitRecord, sim: CommitRecord) -> LayerShard:
         shards, key = self._here.shards, (commit.layer, commit.shard)

@@ -164,12 +164,8 @@ def _rows(copy: ShardCopy, commit: CommitRecord, base: CommitRecord, axis: str) 
 def _spec(array: ShardedArray, meta: Mapping[str, Any], rows: np.ndarray) -> ArraySpec:
     """Some rows of an array, to be written like the whole."""
     chunk = meta["chunk_grid"]["configuration"]["chunk_shape"]
-    shuffle = "bitshuffle"
     for codec in meta["codecs"]:
-        settings = codec.get("configuration", {})
-        chunk = settings.get("chunk_shape", chunk)
-        for inner in settings.get("codecs", ()):
-            shuffle = inner.get("configuration", {}).get("shuffle", shuffle)
+        chunk = codec.get("configuration", {}).get("chunk_shape", chunk)
     fill = meta["fill_value"]
     shape = (len(rows), *array.shape[1:])
     parts = [array.row(int(row)) for row in rows]
@@ -178,6 +174,6 @@ def _spec(array: ShardedArray, meta: Mapping[str, Any], rows: np.ndarray) -> Arr
         axes=array.axes,
         fill=float(fill) if isinstance(fill, str) else fill,
         by_row=chunk[0] == 1,
-        shuffle="shuffle" if shuffle == "shuffle" else "bitshuffle",
+        image=array.axes[0] == "view",
         attributes=array.attributes,
     )

@@ -1,6 +1,6 @@
 """One committed layer of one shard: its rows, arrays and tables."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -139,6 +139,7 @@ class TableIndex:
     def __init__(self, source: TableFile | pa.Table, *, num_frames: int) -> None:
         self._source, self._frames = source, num_frames
         self._parts: dict[tuple[str, int], Any] = {}
+        self._loaded: set[tuple[tuple[str, ...], int]] = set()
         whole = isinstance(source, pa.Table)
         self._ends = np.array([0, len(source)]) if whole else source.ends
         names = source.column_names if whole else source.names
@@ -183,6 +184,8 @@ class TableIndex:
         text as a list. Not to be written to.
         """
         ends = self._ends
+        if len(ends) == 2:  # the usual case: one row group
+            return self._part(name, 0)[rows]
         first = min(int(ends.searchsorted(rows.start, "right")), len(ends) - 1) - 1
         start = int(ends[first])
         if rows.stop <= ends[first + 1]:
@@ -195,9 +198,14 @@ class TableIndex:
             whole = np.concatenate(parts)
         return whole[rows.start - start : rows.stop - start]
 
-    def load(self, names: Sequence[str], rows: slice) -> None:
+    def load(self, names: tuple[str, ...], rows: slice) -> None:
         """Decode several columns of the row group of some rows at once; `values` has them then."""
-        group = min(int(self._ends.searchsorted(rows.start, "right")), len(self._ends) - 1) - 1
+        group = 0
+        if len(self._ends) > 2:
+            group = min(int(self._ends.searchsorted(rows.start, "right")), len(self._ends) - 1) - 1
+        if (names, group) in self._loaded:
+            return
+        self._loaded.add((names, group))
         missing = [name for name in names if (name, group) not in self._parts]
         if missing and isinstance(self._source, TableFile):
             table = self._source.read(missing, group)
@@ -210,12 +218,12 @@ class TableIndex:
 
     def _part(self, name: str, group: int) -> Any:
         """A column in one row group, converted once."""
-        key = (name, group)
-        if key not in self._parts:
+        found = self._parts.get((name, group))
+        if found is None:
             source = self._source
             table = source if isinstance(source, pa.Table) else source.read([name], group)
-            self._parts[key] = _converted(table[name].combine_chunks())
-        return self._parts[key]
+            found = self._parts[name, group] = _converted(table[name].combine_chunks())
+        return found
 
     def _between(self, key: int, length: int) -> slice:
         start = int(self._keys.searchsorted(key))

@@ -39,8 +39,8 @@ def encode_depth(views: Mapping[int, DepthViews], rows: ShardRows) -> Encoded:
         raise BadInputError("a depth layer needs at least one view")
     axes, attributes = ("view", "y", "x"), {"depth_unit": units.pop()}  # [m]
     arrays = {
-        "depth": ArraySpec(data=depth, axes=axes, fill=0, shuffle="shuffle", attributes=attributes),
-        "segments": ArraySpec(data=segments, axes=axes, fill=0, shuffle="shuffle"),
+        "depth": ArraySpec(data=depth, axes=axes, fill=0, image=True, attributes=attributes),
+        "segments": ArraySpec(data=segments, axes=axes, fill=0, image=True),
     }
     return Encoded(arrays=arrays, tables={"views": _views_table(views)})
 
