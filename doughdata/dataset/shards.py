@@ -140,12 +140,13 @@ class TableIndex:
         self._source, self._frames = source, num_frames
         self._parts: dict[tuple[str, int], Any] = {}
         self._loaded: set[tuple[tuple[str, ...], int]] = set()
-        whole = isinstance(source, pa.Table)
-        self._ends = np.array([0, len(source)]) if whole else source.ends
-        names = source.column_names if whole else source.names
+        if isinstance(source, TableFile):
+            self._ends, names = source.ends, source.names
+        else:
+            self._ends, names = np.array([0, len(source)]), source.column_names
         # The table of scenes has no frame_index.
         wanted = [name for name in ("scene_index", "frame_index") if name in names]
-        keys = source.select(wanted) if whole else source.read(wanted)
+        keys = source.read(wanted) if isinstance(source, TableFile) else source.select(wanted)
         self._keys = keys["scene_index"].to_numpy().astype(np.int64) * num_frames
         if len(wanted) > 1:
             self._keys = self._keys + keys["frame_index"].to_numpy()
@@ -153,7 +154,7 @@ class TableIndex:
     @cached_property
     def table(self) -> pa.Table:
         """The whole table."""
-        return self._source if isinstance(self._source, pa.Table) else self._source.read()
+        return self._source.read() if isinstance(self._source, TableFile) else self._source
 
     @property
     def nbytes(self) -> int:
@@ -221,7 +222,7 @@ class TableIndex:
         found = self._parts.get((name, group))
         if found is None:
             source = self._source
-            table = source if isinstance(source, pa.Table) else source.read([name], group)
+            table = source.read([name], group) if isinstance(source, TableFile) else source
             found = self._parts[name, group] = _converted(table[name].combine_chunks())
         return found
 
