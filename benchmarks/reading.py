@@ -3,14 +3,15 @@
 `python benchmarks/reading.py --json` prints one JSON object on one line. The records are synthetic,
 of the size of a real scene (5,000 particles, a mesh of 10,000 vertices, a label grid of 1 mm, a
 640 x 480 depth view), and pass through the real writer. zarr-python reads the same files; an HDF5
-file holds the same arrays in the same chunks with the same codec (blosc zstd 3 by hdf5plugin, with
-Fletcher-32 for crc32c). All readers give the same values, which is checked; ours reads tables and
-makes records beside. `samples_per_s` is a DataLoader with two workers (1024 points, 2048 queries),
-wall clock.
+file holds the same arrays in the same chunks with the same codec (blosc by hdf5plugin with the
+writer's settings, Fletcher-32 for crc32c). All readers give the same values, which is checked; ours
+reads tables and makes records beside. `samples_per_s` is a DataLoader with two workers (1024
+points, 2048 queries), wall clock.
 """
 
 import argparse
 import json
+import os
 import tempfile
 import time
 from collections.abc import Callable
@@ -22,6 +23,7 @@ import numpy as np
 import zarr
 
 from doughdata.dataset import Dataset, DatasetSettings, StageRecord, open_dataset, open_writer
+from doughdata.dataset.arrays import blosc_settings
 from doughschemas import (
     Camera,
     ComponentMesh,
@@ -212,16 +214,24 @@ def hdf5(dataset: Dataset, file: Path) -> Reader:
         for folder in folders:
             if not (folder / "zarr.json").exists():
                 continue
-            data = np.asarray(zarr.open_array(folder, mode="r"))
-            image = folder.name in ("depth", "segments")
-            shuffle = hdf5plugin.Blosc.SHUFFLE if image else hdf5plugin.Blosc.BITSHUFFLE
-            target.create_dataset(
-                folder.name,
-                data=data,
-                chunks=(1, *data.shape[1:]),
-                fletcher32=True,
-                **hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=shuffle),
+            array = zarr.open_array(folder, mode="r")
+            data = np.asarray(array)
+            settings = blosc_settings(image=folder.name in ("depth", "segments"))
+            # The HDF5 filter has no argument for it, but blosc heeds this variable.
+            os.environ["BLOSC_BLOCKSIZE"] = str(settings["blocksize"])
+            codec = hdf5plugin.Blosc(
+                cname=settings["cname"],
+                clevel=settings["clevel"],
+                shuffle=hdf5plugin.Blosc.SHUFFLE,
             )
+            chunks = (1, *data.shape[1:])
+            written = target.create_dataset(
+                folder.name, data=data, chunks=chunks, fletcher32=True, **codec
+            )
+            if array.chunks == chunks:  # our small arrays lie in one chunk
+                size, stored = array.nbytes_stored(), written.id.get_storage_size()
+                assert abs(stored - size) < 0.01 * size + 4096, (folder.name, stored, size)
+    del os.environ["BLOSC_BLOCKSIZE"]
     opened = h5py.File(file)
     return _by_name({name: opened[name] for name in opened})
 

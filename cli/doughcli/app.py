@@ -10,6 +10,7 @@ from doughcli import (
     generate,
     info,
     merge,
+    migrate,
     plugins,
     render,
     reproduce,
@@ -37,7 +38,7 @@ app = typer.Typer(
 
 COMMANDS = (
     *(generate, render, convert, validate, reproduce, info, stats, view, export, plugins),
-    *(merge, subset, split, card, gc),
+    *(merge, subset, split, migrate, card, gc),
 )
 for module in COMMANDS:
     app.command(module.NAME, help=module.HELP, epilog=module.EPILOG)(interruptible(module.command))

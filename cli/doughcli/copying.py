@@ -20,7 +20,7 @@ IntoOption = Annotated[
 
 @contextmanager
 def copying(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar over the scenes, from the first one on; yields what hears how far it is."""
+    """A bar from the first scene on; yields what hears how far it is."""
     from doughcli.progress import StageBars
 
     with ExitStack() as stack:

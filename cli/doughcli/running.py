@@ -3,6 +3,7 @@
 import errno
 import os
 import sys
+import warnings
 from collections.abc import Callable
 from functools import wraps
 from typing import Any
@@ -36,6 +37,7 @@ def run(program: Callable[[], Any], *, name: str, go_on: str = "the same command
 
     `go_on` tells how to take up interrupted work.
     """
+    warnings.showwarning = lambda message, *_: print(f"{name}: {message}", file=sys.stderr)
     try:
         program()
     except DoughError as error:

@@ -8,7 +8,7 @@ from doughdata.dataset.store import Store
 from doughdata.scenes import FamilyName, body_mesh, finger_mesh
 from doughschemas import Body, Scene, Tool
 
-__all__ = ["resolve_family", "resolve_path", "store_family", "store_meshes"]
+__all__ = ["located", "resolve_family", "resolve_path", "store_family", "store_meshes"]
 
 TOOLS, BODIES = "assets/tools/", "assets/bodies/"
 
@@ -25,6 +25,15 @@ def store_meshes(store: Store, scene: Scene) -> Scene:
 def resolve_path(store: Store, path: str) -> str:
     """Where a mesh that a scene names lies on this machine; a remote one is downloaded."""
     return str(store.fetch(path)) if path.startswith((TOOLS, BODIES)) else path
+
+
+def located(store: Store, scene: Scene) -> Scene:
+    """A stored scene whose tool meshes have paths that exist on this machine."""
+    tools = (
+        tool if tool.mesh is None else replace(tool, mesh=resolve_path(store, tool.mesh))
+        for tool in scene.tools
+    )
+    return replace(scene, tools=tuple(tools))
 
 
 def store_family(store: Store, source: str) -> str:

@@ -6,8 +6,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from doughdata.dataset.commits import CommitRecord, all_revisions, list_layers, read_commit
-from doughdata.dataset.info import read_info
+from doughdata.dataset.commits import (
+    UPSTREAM,
+    CommitRecord,
+    all_revisions,
+    list_layers,
+    read_commit,
+)
+from doughdata.dataset.info import read_info, refuse_newer
 from doughdata.dataset.store import LocalStore, Store, store_of
 
 __all__ = ["Collected", "collect"]
@@ -35,9 +41,10 @@ def collect(uri: str | Path | Store, *, grace: float = GRACE, dry_run: bool = Fa
     Raises:
         DatasetError: there is no dataset, or the medium refuses.
         DamagedDatasetError: a commit record is damaged; nothing was removed.
+        VersionError: a newer release made the dataset, and may have layers of its own.
     """
     store = store_of(uri)
-    read_info(store)
+    refuse_newer(store.uri, read_info(store))
     # Attempts first, commits second: what is committed in between is seen as committed.
     attempts = list(_attempts(store))
     temporary = store.temporaries("") if isinstance(store, LocalStore) else []
@@ -62,6 +69,8 @@ def collect(uri: str | Path | Store, *, grace: float = GRACE, dry_run: bool = Fa
 
 def _attempts(store: Store) -> Iterator[str]:
     for layer in store.names("data"):
+        if layer.partition(".")[0] not in UPSTREAM:
+            continue  # not ours: a reader must ignore it, and so must we
         for attempt in store.names(f"data/{layer}"):
             yield f"data/{layer}/{attempt}"
 

@@ -101,7 +101,7 @@ def read_commit(store: Store, layer: str, shard: str, revision: int) -> CommitRe
             files=document["files"],
             scenes=tuple(document["scenes"]),
             failed={int(index): reason for index, reason in document["failed"].items()},
-            stage=StageRecord(**document["stage"]),
+            stage=StageRecord(**{k: document["stage"][k] for k in ("name", "version", "config")}),
             upstream=document["upstream"],
             hash=sha256(data).hexdigest(),
         )

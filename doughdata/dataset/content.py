@@ -7,6 +7,8 @@ import numpy as np
 import pyarrow as pa
 
 from doughdata.dataset.commits import RECORDED, CommitRecord
+from doughdata.dataset.contacts import CONTACT_COLUMNS
+from doughdata.dataset.content_contacts import contact_problems
 from doughdata.dataset.content_recorded import recorded_problems
 from doughdata.dataset.content_sim import pose_problems, sim_problems
 from doughdata.dataset.duplicates import leaking_groups
@@ -25,6 +27,7 @@ from doughschemas import (
     ComponentMesh,
     DoughError,
     FrameTopology,
+    MissingPackageError,
 )
 
 __all__ = ["ContentCheck"]
@@ -41,18 +44,20 @@ class ContentCheck:
         self._store = store
         self.num_frames = num_frames
         self._frames = self._ambiguous = self._meshed = self._agree = 0
-        self._sure = self._sure_agree = 0
+        self._sure = self._sure_agree = self._contacts_unchecked = 0
         self._volume_error = self._final_volume_error = 0.0
         self._disagree: list[tuple[int, int]] = []  # sure frames whose mesh has another genus
 
     def figures(self) -> dict[str, Any]:
         """Totals over all shards checked so far; shares are None where nothing was counted."""
+        unchecked = self._contacts_unchecked  # scenes whose tools need a package that is not here
         return {
             "ambiguous_share": _share(self._ambiguous, self._frames),
             "mesh_genus_agreement": _share(self._agree, self._meshed),
             "mesh_genus_agreement_unambiguous": _share(self._sure_agree, self._sure),
             "volume_error_max": self._volume_error,
             "volume_error_max_final_frame": self._final_volume_error,
+            **({"contacts_unchecked": unchecked} if unchecked else {}),
         }
 
     def dataset(self, scenes: pa.Table | None) -> Problems:
@@ -83,6 +88,8 @@ class ContentCheck:
         for layer, shard in opened.items():
             try:
                 yield from self._decodes(shard)
+                if layer in CONTACT_COLUMNS:
+                    yield from self._contacts(shard, opened["sim"])
                 if layer == "sim":
                     yield from sim_problems(shard)
                 elif layer == "topology":
@@ -106,6 +113,13 @@ class ContentCheck:
             if shard.table(name).table.schema.metadata is None:
                 file = f"{shard.commit.path}/{name}.parquet"
                 yield Problem(file=file, message="no schema_version")
+
+    def _contacts(self, shard: LayerShard, sim: LayerShard) -> Problems:
+        """Contacts against what the layers give; those of mesh tools need optional packages."""
+        try:
+            yield from contact_problems(self._store, shard, sim)
+        except MissingPackageError:
+            self._contacts_unchecked += len(shard.commit.scenes)
 
     def _topology(self, shard: LayerShard, sim: LayerShard) -> Problems:
         counts = sim.array("num_particles").all()

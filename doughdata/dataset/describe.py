@@ -15,7 +15,7 @@ from doughdata.dataset.documents import dump_document, load_document
 from doughdata.dataset.report import Problem
 from doughdata.dataset.statistics import dataset_sizes, table_features, topology_statistics
 from doughdata.dataset.store import Store
-from doughschemas import SCHEMA_VERSION, DoughError
+from doughschemas import DoughError
 
 __all__ = ["Features", "check_documents", "describe", "known_arrays"]
 
@@ -50,7 +50,7 @@ def describe(
         arrays = known_arrays(store, info["fingerprint"])
     stats = dump_document(
         {
-            "schema_version": SCHEMA_VERSION,
+            "schema_version": info["schema_version"],
             "fingerprint": info["fingerprint"],
             **table_features(tables),
             **arrays,

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from doughdata.dataset.commits import RECORDED
+from doughdata.dataset.contacts import FrameContacts
 from doughdata.dataset.layers import (
     decode_color,
     decode_depth,
@@ -68,7 +69,7 @@ class Frame:
         base = self._dataset.base_layer(self.scene_index)
         sim = self._dataset.layer(base, self.scene_index)
         frames = sim.table("frames")
-        return float(frames.column("timestamp")[frames.frame_rows(*self._key).start])
+        return float(frames.value("timestamp", frames.frame_rows(*self._key).start))
 
     @cached_property
     def particles(self) -> FrameParticles:
@@ -81,7 +82,7 @@ class Frame:
         return FrameParticles(
             positions=sim.array("positions").row(row)[:count],
             object_ids=sim.array("object_ids").row(row)[:count],
-            spacing=float(scenes.column("particle_spacing")[at]),
+            spacing=float(scenes.value("particle_spacing", at)),
         )
 
     @cached_property
@@ -89,6 +90,15 @@ class Frame:
         """Layer `topology`: labels, genus, scene graph, contacts."""
         shard = self._dataset.layer("topology", self.scene_index)
         return decode_frame_topology(shard, *self._key, num_particles=self._num_particles)
+
+    @cached_property
+    def contacts(self) -> FrameContacts:
+        """What touches what; from the layers `sim` and `topology`, None where one is missing.
+
+        Raises:
+            MissingLayerError: the scene was written in format 1.0; the message names the command.
+        """
+        return self._dataset.read_contacts(*self._key)
 
     @cached_property
     def events(self) -> tuple[TopologyEvent, ...]:
@@ -113,14 +123,16 @@ class Frame:
         sim = self._dataset.layer("sim", self.scene_index)
         frames, poses = sim.table("frames"), sim.table("tool_poses")
         at, here = frames.frame_rows(*self._key).start, poses.frame_rows(*self._key)
+        frames.load(("action", "opening"), slice(at, at + 1))
+        poses.load(("position", "quaternion"), here)
         scene = self._dataset.scene(self.scene_index)
-        action = int(frames.column("action")[at])
+        action = int(frames.value("action", at))
         return FrameTools(
             tool=scene.tools[scene.actions[action].tool],
             action=action,
-            position=poses.column("position")[here].copy(),
-            quaternion=poses.column("quaternion")[here].copy(),
-            opening=float(frames.column("opening")[at]),
+            position=poses.values("position", here).copy(),
+            quaternion=poses.values("quaternion", here).copy(),
+            opening=float(frames.value("opening", at)),
         )
 
     def depth(self, sensor: str) -> DepthViews:

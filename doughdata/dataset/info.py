@@ -7,10 +7,16 @@ from typing import Any
 from doughdata.dataset.commits import RECORDED, StageRecord
 from doughdata.dataset.documents import dump_document, load_document, plain_json
 from doughdata.dataset.store import Store
-from doughschemas import SCHEMA_VERSION, DatasetError
-from doughschemas.migrate import check_version
+from doughschemas import SCHEMA_VERSION, DatasetError, VersionError
+from doughschemas.migrate import check_version, is_newer
 
-__all__ = ["DatasetSettings", "create_info", "default_scenes_per_shard", "read_info"]
+__all__ = [
+    "DatasetSettings",
+    "create_info",
+    "default_scenes_per_shard",
+    "read_info",
+    "refuse_newer",
+]
 
 INFO = "meta/info.json"
 # LeRobot's style; null = differs from row to row. A depth layer's features have its sensor's name.
@@ -60,11 +66,13 @@ def create_info(store: Store, settings: DatasetSettings) -> dict[str, Any]:
 
     Raises:
         DatasetError: the folder holds something else, or a setting differs; the message names it.
+        VersionError: a newer release made the dataset.
     """
     if not store.exists(INFO):
         refuse_strangers(store)
         store.create(INFO, dump_document(_new_info(settings)))
     info = read_info(store)
+    refuse_newer(store.uri, info)
     check_settings(store.uri, info, settings)
     return info
 
@@ -85,6 +93,16 @@ def read_info(store: Store) -> dict[str, Any]:
     info = load_document(store.read(INFO), name=f"{store.uri}: {INFO}")
     check_version(str(info.get("schema_version")), what=store.uri)
     return info
+
+
+def refuse_newer(uri: str, info: Mapping[str, Any]) -> None:
+    """Raise VersionError if a newer release wrote a dataset: what it added would be lost."""
+    version = str(info["schema_version"])
+    if is_newer(version, what=uri):
+        raise VersionError(
+            f"{uri} has schema version {version}; this release writes up to {SCHEMA_VERSION}: "
+            "upgrade doughdata, nothing was touched"
+        )
 
 
 def write_info(store: Store, info: Mapping[str, Any]) -> None:

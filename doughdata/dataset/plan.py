@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from hashlib import sha256
 from typing import Any
@@ -80,9 +80,9 @@ def read_plans(store: Store) -> list[PlanRecord]:
     for name in store.names("meta/plans"):
         where = f"{store.uri}: meta/plans/{name}"
         document = load_document(store.read(f"meta/plans/{name}"), name=where)
-        document = {k: v for k, v in document.items() if k not in ("checksum", "schema_version")}
+        known = {field.name for field in fields(PlanRecord)}
         try:
-            plan = PlanRecord(**document)
+            plan = PlanRecord(**{name: document[name] for name in known & {*document}})
         except TypeError as error:
             raise DamagedDatasetError(f"{where}: not a plan record ({error})") from error
         starts = (len(plans), *_next(plans))
@@ -95,7 +95,12 @@ def read_plans(store: Store) -> list[PlanRecord]:
 def plan_family(
     store: Store, family: str, *, split: str, seed: int, count: int, scenes_per_shard: int
 ) -> list[Shard]:
-    """Make sure that scenes 0..count-1 of a family are planned; returns all its planned shards."""
+    """Make sure that scenes 0..count-1 of a family are planned; returns all its planned shards.
+
+    Raises:
+        DatasetError: one of the new scenes is there already, written out as a user's scene is: a
+            subset or a merge took it from a dataset in which it was sampled.
+    """
     if count < 0:
         raise BadInputError(f"the number of scenes must be 0 or more, got {count}")
     family = store_family(store, family)
@@ -117,6 +122,15 @@ def plan_family(
             first_shard=first_shard,
             scenes_per_shard=scenes_per_shard,
         )
+        written = {name for other in plans for name in (other.scenes or {})}
+        if written:
+            numbers = range(have, count)
+            double = [s.scene_id for s in _sampled(store, plan, numbers) if s.scene_id in written]
+            if double:
+                raise DatasetError(
+                    f"{store.uri}: scene {double[0]!r} of this family, split and seed is in the "
+                    "dataset already, taken from another one; give another --seed"
+                )
         _append(store, plan)  # another process may be faster: then look again
 
 

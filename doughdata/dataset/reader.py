@@ -18,6 +18,7 @@ import pyarrow as pa
 
 from doughdata.dataset.assets import resolve_path
 from doughdata.dataset.commits import RECORDED, CommitLog, CommitRecord
+from doughdata.dataset.contacts import CONTACT_COLUMNS, FrameContacts
 from doughdata.dataset.frame import Frame
 from doughdata.dataset.info import read_info
 from doughdata.dataset.layers import (
@@ -58,6 +59,7 @@ class _Opened:
     tables: dict[str, pa.Table] = field(default_factory=dict)
     scenes: dict[int, Scene] = field(default_factory=dict)
     fresh: dict[str, dict[str, CommitRecord]] = field(default_factory=dict)
+    places: dict[int, str] = field(default_factory=dict)  # scene_index -> shard
     shards: OrderedDict[tuple[str, str], LayerShard] = field(default_factory=OrderedDict)
 
 
@@ -144,17 +146,19 @@ class Dataset:
         if name not in here.tables and self._store.exists(path):
             here.tables[name] = read_table(self._store, path)
         if name not in here.tables:
-            here.tables = build_tables(self._store, here.log, num_frames=self.num_frames)
+            here.tables = build_tables(self._store, here.log, here.info)
         return here.tables[name]
 
     def scene(self, scene_index: int) -> Scene:
         """What a scene was made from; meshes have paths on this machine."""
         scenes = self._here.scenes
         if scene_index not in scenes:
-            table = self.layer("sim", scene_index).table("scenes").scene(scene_index)
-            data = json.loads(table["parameters"][0].as_py())
+            table = self.layer("sim", scene_index).table("scenes")
+            data = json.loads(table.value("parameters", table.scene_rows(scene_index).start))
             locate = partial(resolve_path, self._store)
-            scenes[scene_index] = scene_from_json(data, name=data["scene_id"], locate=locate)
+            scenes[scene_index] = scene_from_json(
+                data, name=data["scene_id"], locate=locate, stored=True
+            )
         return scenes[scene_index]
 
     def frame(self, *, scene: int, frame: int) -> Frame:
@@ -194,6 +198,39 @@ class Dataset:
         count = int(sim.array("num_particles").row(sim.rows.start(scene_index)))
         shard = self.layer("topology", scene_index)
         return decode_topology(shard, scene_index, num_particles=count)
+
+    def read_contacts(self, scene_index: int, frame_index: int) -> FrameContacts:
+        """What touches what in one key frame.
+
+        Raises:
+            MissingLayerError: there is no `sim` layer, or it is of format 1.0 and nobody computed
+                the contacts; the message names the command that does it.
+        """
+        found: dict[str, Any] = {}
+        for layer, columns in CONTACT_COLUMNS.items():
+            try:
+                shard = self.layer(layer, scene_index)
+            except MissingLayerError:
+                if layer == "sim":
+                    raise
+                continue
+            frames = shard.frames_with_contacts()
+            row = frames.frame_rows(scene_index, frame_index).start
+            found |= {name: frames.value(name, row) for name, _ in columns}
+        table = found["table_contacts"]
+        if table is None or table != table:  # a column of nulls comes as None or NaN
+            raise MissingLayerError(
+                f"{self.uri}: scene {scene_index} has no contacts, it was written in format 1.0; "
+                f"`doughdata migrate --dataset {self.uri}` computes them"
+            )
+        fingers, pairs = found["finger_contacts"], found.get("touching_components")
+        itself = found.get("self_contact")
+        return FrameContacts(
+            fingers=None if fingers is None else tuple(fingers),
+            table=int(found["table_contacts"]),
+            components=None if pairs is None else int(pairs),
+            itself=None if itself is None else bool(itself),
+        )
 
     def read_meshes(self, scene_index: int, frame_index: int) -> ComponentMeshes:
         """Meshes and label grid of one key frame."""
@@ -249,13 +286,17 @@ class Dataset:
         return self._opened[pid]
 
     def _shard_of(self, scene_index: int) -> str:
-        plans = self._here.plans
+        here = self._here
+        if scene_index in here.places:
+            return here.places[scene_index]
+        plans = here.plans
         total = sum(plan.count for plan in plans)
         if not 0 <= scene_index < total:
             raise BadInputError(f"{self.uri}: no scene {scene_index} (it has 0..{total - 1})")
         plan = plans[bisect_right(plans, scene_index, key=lambda p: p.first_scene_index) - 1]
         place = (scene_index - plan.first_scene_index) // plan.scenes_per_shard
-        return f"{plan.first_shard + place:05d}"
+        here.places[scene_index] = f"{plan.first_shard + place:05d}"
+        return here.places[scene_index]
 
     def _open(self, commit: CommitRecord, sim: CommitRecord) -> LayerShard:
         shards, key = self._here.shards, (commit.layer, commit.shard)

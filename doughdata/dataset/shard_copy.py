@@ -14,6 +14,8 @@ import pyarrow as pa
 
 from doughdata.dataset.arrays import ArraySpec, ShardedArray, encode_arrays
 from doughdata.dataset.commits import CommitRecord
+from doughdata.dataset.completion import completed
+from doughdata.dataset.contacts import CONTACT_COLUMNS
 from doughdata.dataset.shards import ARRAYS, encode_table, read_table
 from doughdata.dataset.store import Store
 from doughschemas import DamagedDatasetError
@@ -78,7 +80,7 @@ def copied_files(
     """
     files = {name: _verified(copy.store, commit, name) for name in commit.files}
     tables = {name: data for name, data in files.items() if name.endswith(".parquet")}
-    new_tables = {name: _table(copy, commit, name) for name in tables}
+    new_tables = {name: _table(copy, commit, base, name) for name in tables}
     attributes = {"layer": new.layer, "shard": new.shard, "scenes": list(new.scenes)}
     if all(index in copy.scenes for index in {*base.scenes, *commit.scenes}):
         arrays = {name: data for name, data in files.items() if name not in tables}
@@ -86,7 +88,10 @@ def copied_files(
     else:
         encoded = encode_arrays(_arrays(copy, commit, base), attributes=attributes)
         arrays = {f"{ARRAYS}/{name}": data for name, data in encoded.items()}
-    return {**arrays, **{name: encode_table(table) for name, table in new_tables.items()}}
+    return {
+        **arrays,
+        **{name: encode_table(table, parts=True) for name, table in new_tables.items()},
+    }
 
 
 def _verified(store: Store, commit: CommitRecord, name: str) -> bytes:
@@ -106,9 +111,11 @@ def _group(data: bytes, attributes: Mapping[str, Any]) -> bytes:
     return json.dumps({**group, "attributes": {**group["attributes"], **attributes}}).encode()
 
 
-def _table(copy: ShardCopy, commit: CommitRecord, name: str) -> pa.Table:
-    """The rows of the chosen scenes, renumbered."""
+def _table(copy: ShardCopy, commit: CommitRecord, base: CommitRecord, name: str) -> pa.Table:
+    """The rows of the chosen scenes, renumbered, with the columns of the newest version."""
     table = read_table(copy.store, f"{commit.path}/{name}")
+    if name == "frames.parquet" and commit.layer in CONTACT_COLUMNS:
+        table = completed(copy.store, commit, base, table, num_frames=copy.num_frames)
     if "scene_index" not in table.column_names:
         return table
     old = table["scene_index"].to_numpy()
@@ -157,12 +164,8 @@ def _rows(copy: ShardCopy, commit: CommitRecord, base: CommitRecord, axis: str) 
 def _spec(array: ShardedArray, meta: Mapping[str, Any], rows: np.ndarray) -> ArraySpec:
     """Some rows of an array, to be written like the whole."""
     chunk = meta["chunk_grid"]["configuration"]["chunk_shape"]
-    shuffle = "bitshuffle"
     for codec in meta["codecs"]:
-        settings = codec.get("configuration", {})
-        chunk = settings.get("chunk_shape", chunk)
-        for inner in settings.get("codecs", ()):
-            shuffle = inner.get("configuration", {}).get("shuffle", shuffle)
+        chunk = codec.get("configuration", {}).get("chunk_shape", chunk)
     fill = meta["fill_value"]
     shape = (len(rows), *array.shape[1:])
     parts = [array.row(int(row)) for row in rows]
@@ -171,6 +174,6 @@ def _spec(array: ShardedArray, meta: Mapping[str, Any], rows: np.ndarray) -> Arr
         axes=array.axes,
         fill=float(fill) if isinstance(fill, str) else fill,
         by_row=chunk[0] == 1,
-        shuffle="shuffle" if shuffle == "shuffle" else "bitshuffle",
+        image=array.axes[0] == "view",
         attributes=array.attributes,
     )

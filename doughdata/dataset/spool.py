@@ -15,7 +15,8 @@ from doughschemas import BadInputError
 
 __all__ = ["RowSpool", "SpooledArray"]
 
-LEVEL = 3  # of zstd, as in `arrays`
+IMAGE_LEVEL = 3  # of zstd, as in `arrays`
+BLOCK = 2**18  # [bytes] that blosc compresses at a time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +92,7 @@ class RowSpool:
 def _compressed(row: np.ndarray) -> bytes:
     from numcodecs import blosc  # pyright: ignore[reportAttributeAccessIssue] (compiled)
 
-    return blosc.compress(row, b"zstd", LEVEL, blosc.SHUFFLE)
+    return blosc.compress(row, b"zstd", IMAGE_LEVEL, blosc.SHUFFLE, BLOCK)
 
 
 def _checked(data: bytes) -> bytes:

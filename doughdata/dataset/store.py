@@ -122,12 +122,15 @@ class LocalStore:
 
     def read(self, path: str) -> bytes:
         """Whole file; see `Store.read`."""
-        with self._explain_reading(path), FileIO(self._prefix + path) as file:
-            return file.readall()
+        try:
+            with FileIO(self._prefix + path) as file:
+                return file.readall()
+        except OSError as error:
+            raise self._unreadable(path, error) from error
 
     def read_range(self, path: str, start: int, stop: int | None = None) -> bytes:
         """A part of a file; see `Store.read_range`. Holds nothing open."""
-        with self._explain_reading(path):
+        try:  # no context manager: this is called eight times a frame
             handle = os.open(self._prefix + path, os.O_RDONLY)
             try:
                 if start < 0 or stop is None:
@@ -136,6 +139,8 @@ class LocalStore:
                 return os.pread(handle, stop - start, start)
             finally:
                 os.close(handle)
+        except OSError as error:
+            raise self._unreadable(path, error) from error
 
     def exists(self, path: str) -> bool:
         """Whether a file or folder is there."""
@@ -232,16 +237,10 @@ class LocalStore:
             for path in self.local(folder).rglob(f"{TEMPORARY}*")
         )
 
-    @contextmanager
-    def _explain_reading(self, path: str) -> Iterator[None]:
-        try:
-            yield
-        except (FileNotFoundError, NotADirectoryError) as error:
-            raise DamagedDatasetError(f"{self._uri}: {path} is missing") from error
-        except OSError as error:
-            raise DamagedDatasetError(
-                f"{self._uri}: cannot read {path}: {error.strerror}"
-            ) from error
+    def _unreadable(self, path: str, error: OSError) -> DamagedDatasetError:
+        if isinstance(error, FileNotFoundError | NotADirectoryError):
+            return DamagedDatasetError(f"{self._uri}: {path} is missing")
+        return DamagedDatasetError(f"{self._uri}: cannot read {path}: {error.strerror}")
 
 
 def store_of(uri: "str | Path | Store") -> Store:

@@ -10,13 +10,22 @@ import numpy as np
 import pyarrow as pa
 
 from doughdata.dataset.commits import RECORDED, CommitLog, CommitRecord
+from doughdata.dataset.contacts import CONTACT_COLUMNS
 from doughdata.dataset.describe import Features, describe
-from doughdata.dataset.info import features_of, read_info, write_info
+from doughdata.dataset.info import features_of, read_info, refuse_newer, write_info
 from doughdata.dataset.shards import encode_table, read_table
 from doughdata.dataset.store import Store
-from doughschemas import SCHEMA_VERSION, DamagedDatasetError
+from doughdata.dataset.supplements import with_contacts
+from doughschemas import DamagedDatasetError
 
-__all__ = ["TABLES", "build_info", "build_tables", "fingerprint_of", "refresh_tables"]
+__all__ = [
+    "TABLES",
+    "build_info",
+    "build_tables",
+    "fingerprint_of",
+    "refresh_tables",
+    "table_schemas",
+]
 
 INDEX = [
     ("scene_index", pa.int64()),
@@ -34,7 +43,8 @@ TOPOLOGY_COLUMNS = [
     ("static_genus", INTS),
 ]
 POSE = [("position", pa.list_(pa.float64(), 3)), ("quaternion", pa.list_(pa.float64(), 4))]
-TABLES = {  # name -> columns; SPEC.md says what they mean
+SINCE_1_1 = {name for columns in CONTACT_COLUMNS.values() for name, _ in columns}
+TABLES = {  # name -> columns of the newest version; SPEC.md says what they mean
     "scenes": [
         ("scene_index", pa.int64()),
         ("scene_id", pa.string()),
@@ -61,6 +71,8 @@ TABLES = {  # name -> columns; SPEC.md says what they mean
         ("opening", pa.float64()),
         ("action", pa.int32()),
         *TOPOLOGY_COLUMNS,
+        *CONTACT_COLUMNS["sim"],
+        *CONTACT_COLUMNS["topology"],
     ],
     "topology_events": [
         *INDEX,
@@ -108,13 +120,17 @@ class _Shard:
     id: str
     commits: Mapping[str, CommitRecord]
     num_frames: int
+    schemas: Mapping[str, pa.Schema]  # of the derived tables
 
     def table(self, layer: str, name: str) -> pa.Table | None:
         """A table of a committed attempt, or None if the layer has none."""
         commit = self.commits.get(layer)
         if commit is None or commit.path is None:
             return None
-        return read_table(self.store, f"{commit.path}/{name}.parquet")
+        table = read_table(self.store, f"{commit.path}/{name}.parquet")
+        if name == "frames" and "tool_contact" in self.schemas["frames"].names:
+            return with_contacts(self.store, commit, table)
+        return table
 
 
 def refresh_tables(
@@ -122,20 +138,25 @@ def refresh_tables(
     *,
     arrays: Features | None = None,
     license_name: str | None = None,
+    version: str | None = None,
 ) -> dict[str, Any]:
     """Rebuild all tables, what describes them, and the totals in info.json; returns the info.
 
-    `arrays` and `license_name` as for `describe`.
+    `arrays` and `license_name` as for `describe`. The dataset keeps its schema version, which says
+    what columns the tables have, unless `version` raises it.
 
     Raises:
+        VersionError: a newer release made the dataset.
         DamagedDatasetError: a commit record or a table of an attempt is damaged.
         DatasetError: the disk is full or read-only.
     """
     info, log = read_info(store), CommitLog(store)
-    tables = build_tables(store, log, num_frames=info["num_frames"])
+    refuse_newer(store.uri, info)
+    info = {**info, "schema_version": version or info["schema_version"]}
+    tables = build_tables(store, log, info)
     hashes = {}
     for name, table in tables.items():
-        data = encode_table(table)
+        data = encode_table(table, version=info["schema_version"])
         hashes[name] = sha256(data).hexdigest()
         store.replace(f"meta/{name}.parquet", data)
     info = build_info(info, log, tables, hashes)
@@ -145,19 +166,38 @@ def refresh_tables(
     return info
 
 
-def build_tables(store: Store, log: CommitLog, *, num_frames: int) -> dict[str, pa.Table]:
+def table_schemas(version: str) -> dict[str, pa.Schema]:
+    """Table -> columns of a schema version, which stands in the metadata."""
+    left_out = SINCE_1_1 if version == "1.0" else frozenset()
+    return {
+        name: pa.schema(
+            [column for column in columns if column[0] not in left_out],
+            metadata={"schema_version": version},
+        )
+        for name, columns in TABLES.items()
+    }
+
+
+def build_tables(store: Store, log: CommitLog, info: Mapping[str, Any]) -> dict[str, pa.Table]:
     """All derived tables, sorted by scene_index and frame_index. Raises as `refresh_tables`."""
     parts: Parts = {name: [] for name in TABLES}
+    schemas = table_schemas(info["schema_version"])
     for shard_id in log.shards:
         commits = log.fresh(shard_id)
-        shard = _Shard(store=store, id=shard_id, commits=commits, num_frames=num_frames)
+        shard = _Shard(
+            store=store,
+            id=shard_id,
+            commits=commits,
+            num_frames=info["num_frames"],
+            schemas=schemas,
+        )
         try:
             _add_shard(parts, shard)
         except (LookupError, ValueError, pa.ArrowException) as error:  # a column is gone
             raise DamagedDatasetError(
                 f"{store.uri}: the tables of shard {shard_id} are damaged ({error})"
             ) from error
-    return {name: _joined(name, tables) for name, tables in parts.items()}
+    return {name: _joined(name, tables, schemas[name]) for name, tables in parts.items()}
 
 
 def build_info(
@@ -219,12 +259,14 @@ def _add_shard(parts: Parts, shard: _Shard) -> None:
             table = table.append_column(column, pa.array(value))
         if name != "scenes":
             table = _with_index(table, timestamps, shard.num_frames)
-        schema = pa.schema(TABLES[name])
+        schema = shard.schemas[name].remove_metadata()
+        for column in sorted(SINCE_1_1 & {*schema.names} - {*table.column_names}):
+            table = table.append_column(column, pa.nulls(len(table), schema.field(column).type))
         parts[name].append(table.select(schema.names).cast(schema))
 
     here = [shard.id] * len(frames)
     add("scenes", _with_failures(scenes, shard.commits), shard=here[: len(scenes)])
-    topology = _topology_columns(frames, shard.table("topology", "frames"), shard.num_frames)
+    topology = _topology_columns(frames, shard.table("topology", "frames"), shard)
     add("frames", topology, shard=here, row=np.arange(len(frames)))
     add("tool_poses", poses)
     for name in ("topology_events", "graph_nodes", "graph_edges"):
@@ -262,15 +304,20 @@ def _with_failures(scenes: pa.Table, commits: Mapping[str, CommitRecord]) -> pa.
     return scenes.append_column("failed", pa.array(reasons, pa.string()))
 
 
-def _topology_columns(frames: pa.Table, topology: pa.Table | None, num_frames: int) -> pa.Table:
+def _topology_columns(frames: pa.Table, topology: pa.Table | None, shard: _Shard) -> pa.Table:
     """Frames of `sim` with the columns of `topology`; null where a scene has none."""
+    wanted_columns = [
+        column
+        for column in (*TOPOLOGY_COLUMNS, *CONTACT_COLUMNS["topology"])
+        if column[0] in shard.schemas["frames"].names
+    ]
     if topology is None:
-        columns: dict[str, Any] = {k: pa.nulls(len(frames), t) for k, t in TOPOLOGY_COLUMNS}
+        columns: dict[str, Any] = {k: pa.nulls(len(frames), t) for k, t in wanted_columns}
     else:
-        keys, wanted = _keys(topology, num_frames), _keys(frames, num_frames)
+        keys, wanted = _keys(topology, shard.num_frames), _keys(frames, shard.num_frames)
         place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
         indices = pa.array(place, mask=keys[place] != wanted)
-        columns = {name: topology[name].take(indices) for name, _ in TOPOLOGY_COLUMNS}
+        columns = {name: topology[name].take(indices) for name, _ in wanted_columns}
     for name, column in columns.items():
         frames = frames.append_column(name, column)
     return frames
@@ -280,8 +327,7 @@ def _keys(table: pa.Table, num_frames: int) -> np.ndarray:
     return table["scene_index"].to_numpy() * num_frames + table["frame_index"].to_numpy()
 
 
-def _joined(name: str, tables: list[pa.Table]) -> pa.Table:
-    schema = pa.schema(TABLES[name], metadata={"schema_version": SCHEMA_VERSION})
+def _joined(name: str, tables: list[pa.Table], schema: pa.Schema) -> pa.Table:
     table = pa.concat_tables(tables) if tables else schema.empty_table()
     # Shards hold rising scene_index and rows are sorted within each, so that only layers mix.
     order = ["scene_index"] if name == "scenes" else ["scene_index", "frame_index"]

@@ -20,12 +20,16 @@ from doughdata.dataset.reader import command_for
 from doughdata.dataset.report import Problem, Report
 from doughdata.dataset.shards import ShardRows, read_table
 from doughdata.dataset.store import Store, store_of
+from doughdata.dataset.supplements import SUPPLEMENTS, read_supplement
 from doughdata.dataset.tables import build_info, build_tables
+from doughdata.dataset.transfer import ORIGIN
 from doughschemas import DamagedDatasetError, DoughError
 from doughschemas.json_schemas import read_json_schema
+from doughschemas.migrate import is_newer
 
 __all__ = ["validate"]
 
+KNOWN_FOR_EVER = ("fingerprint", "splits", "total_failed", "total_frames", "total_scenes")
 Problems = Iterator[Problem]
 Progress = Callable[[int, int], None]  # shards done, shards in all
 
@@ -78,6 +82,9 @@ class _Validation:
         except DoughError:
             return  # a damaged commit was reported; without it nothing below can be judged
         yield from self._places(plans, commits)
+        yield from self._supplements(commits)
+        if self._store.exists(ORIGIN):
+            yield from self._document("origin", ORIGIN)
         yield from self._files(commits)
         yield from self._assets()
         yield from self._stale(log, fresh)
@@ -156,6 +163,23 @@ class _Validation:
         yield from wrong
         return None if wrong else document
 
+    def _supplements(self, commits: list[CommitRecord]) -> Problems:
+        """What was added to a commit belongs to one that exists and fits its table."""
+        known = {commit.name: commit for commit in commits}
+        for layer in self._store.names(SUPPLEMENTS):
+            for file in self._store.names(f"{SUPPLEMENTS}/{layer}"):
+                name = f"{SUPPLEMENTS}/{layer}/{file}"
+                if (yield from self._document("supplement", name)) is None:
+                    continue
+                commit = known.get(f"meta/commits/{layer}/{file}")
+                if commit is None:
+                    yield Problem(file=name, message="belongs to a commit that does not exist")
+                    continue
+                try:
+                    read_supplement(self._store, commit)
+                except DoughError as error:
+                    yield self._problem(name, error)
+
     def _places(self, plans: list[PlanRecord], commits: list[CommitRecord]) -> Problems:
         """Every commit belongs to a planned shard and covers scenes of that shard only."""
         planned = {shard.id: set(shard.scene_indices) for p in plans for shard in shards_of(p)}
@@ -217,12 +241,13 @@ class _Validation:
     def _tables(self, info: Mapping[str, Any], log: CommitLog) -> Problems:
         """Derived tables and totals against a rebuild."""
         try:
-            tables = build_tables(self._store, log, num_frames=info["num_frames"])
+            tables = build_tables(self._store, log, info)
         except DoughError as error:
             if not self._damaged:
                 yield self._problem("meta", error)
             return
         self._scenes = tables["scenes"]
+        newer = is_newer(info["schema_version"], what=self._store.uri)
         advice = "is not what the commits give; the next `doughdata generate` rebuilds it"
         hashes = {}
         for name, expected in tables.items():
@@ -236,11 +261,11 @@ class _Validation:
             hashes[name] = sha256(data).hexdigest()
             if hashes[name] != info["tables"].get(name):
                 yield Problem(file=path, message="does not fit its sha256 in meta/info.json")
-            elif table.schema.metadata != expected.schema.metadata or not table.equals(expected):
+            elif not _same_table(table, expected, newer=newer):
                 yield Problem(file=path, message=advice)
         rebuilt = build_info(info, log, tables, hashes)
-        for key in sorted(rebuilt):
-            if rebuilt[key] != info.get(key) and key != "tables":
+        for key in sorted(KNOWN_FOR_EVER if newer else {*rebuilt} - {"tables"}):
+            if rebuilt[key] != info.get(key):
                 yield Problem(file=INFO, message=f"{key} {advice}")
         self.figures |= {k: info[k] for k in ("total_scenes", "total_frames", "total_failed")}
 
@@ -258,6 +283,16 @@ class _Validation:
         text = str(error).removeprefix(f"{self._store.uri}: ")
         text = text.removeprefix(path).lstrip(": ")
         return Problem(file=path, message=text)
+
+
+def _same_table(table: pa.Table, expected: pa.Table, *, newer: bool) -> bool:
+    """Whether a stored table is what the commits give; a newer version may have more columns."""
+    if table.schema.metadata != expected.schema.metadata:
+        return False
+    if not newer:
+        return table.equals(expected)
+    names = expected.column_names
+    return {*names} <= {*table.column_names} and table.select(names).equals(expected)
 
 
 def _silent(done: int, total: int) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from uuid import uuid4
 
 from doughdata.dataset.arrays import encode_arrays, spooled_files
-from doughdata.dataset.assets import store_meshes
+from doughdata.dataset.assets import located, store_meshes
 from doughdata.dataset.commits import (
     RECORDED,
     CommitLog,
@@ -20,12 +20,14 @@ from doughdata.dataset.commits import (
     StageRecord,
     read_commit,
 )
+from doughdata.dataset.contacts import particle_contacts
 from doughdata.dataset.info import (
     DatasetSettings,
     check_settings,
     check_stage,
     create_info,
     read_info,
+    refuse_newer,
 )
 from doughdata.dataset.layers import (
     encode_depth,
@@ -48,7 +50,7 @@ from doughdata.dataset.shards import ARRAYS, Encoded, ShardRows, encode_table
 from doughdata.dataset.store import LocalStore, Store, store_of
 from doughdata.dataset.tables import refresh_tables
 from doughdata.dataset.tasks import Earlier, Task, task_for
-from doughschemas import BadInputError, DatasetError, Scene
+from doughschemas import BadInputError, DatasetError, Particles, Scene
 
 __all__ = ["DatasetWriter", "open_writer"]
 
@@ -219,7 +221,8 @@ class DatasetWriter:
             rows = ShardRows(scenes=tuple(sorted(records)), num_frames=self.num_frames)
             scenes = self.scenes(task) if scenes is None else scenes
             stored = {index: store_meshes(self.store, scenes[index]) for index in records}
-            return encode_sim(records, stored, rows)
+            here = {index: located(self.store, scene) for index, scene in stored.items()}
+            return encode_sim(records, stored, rows, contacts=contacts_of(records, here))
         if task.layer == RECORDED:
             recorded = ShardRows(scenes=tuple(sorted(records)), num_frames=self.num_frames)
             return encode_recorded(records, recorded)
@@ -256,6 +259,7 @@ def open_writer(uri: str | Path | Store, settings: DatasetSettings | None = None
     """
     store = store_of(uri)
     info = read_info(store) if settings is None else create_info(store, settings)
+    refuse_newer(store.uri, info)
     return DatasetWriter(store, info)
 
 
@@ -266,8 +270,17 @@ def encode_files(encoded: Encoded, commit: CommitRecord) -> dict[str, bytes | Pa
         **encode_arrays(encoded.arrays, attributes=attributes),
         **spooled_files(encoded.arrays),
     }
-    tables = {f"{name}.parquet": encode_table(table) for name, table in encoded.tables.items()}
+    tables = {
+        f"{name}.parquet": encode_table(table, parts=True) for name, table in encoded.tables.items()
+    }
     return {**{f"{ARRAYS}/{name}": data for name, data in arrays.items()}, **tables}
+
+
+def contacts_of(
+    records: Mapping[int, Particles], scenes: Mapping[int, Scene]
+) -> dict[int, dict[str, list[Any]]]:
+    """What touches what in every key frame of some scenes, whose meshes lie on this machine."""
+    return {index: particle_contacts(records[index], scenes[index]) for index in sorted(records)}
 
 
 def _digest(data: bytes | Path) -> str:

@@ -10,7 +10,6 @@ from doughdata.scenes.limits import check_scene
 from doughdata.scenes.materials import material_preset
 from doughdata.scenes.tools import tool_preset
 from doughschemas import (
-    SCHEMA_VERSION,
     Action,
     Body,
     Material,
@@ -22,27 +21,34 @@ from doughschemas import (
 
 __all__ = ["read_scenes", "scene_from_json", "scene_to_json"]
 
+SCENE_VERSION = "1.0"  # of the format in which scenes last changed: their text is hashed in plans
+
 
 def scene_to_json(scene: Scene) -> dict[str, Any]:
     """Plain dictionary of a scene; `scene_from_json` brings it back equal."""
-    return {"schema_version": SCHEMA_VERSION, **_plain(asdict(scene))}
+    return {"schema_version": SCENE_VERSION, **_plain(asdict(scene))}
 
 
 def scene_from_json(
-    data: Mapping[str, Any], *, name: str = "scene", locate: Callable[[str], str] = str
+    data: Mapping[str, Any],
+    *,
+    name: str = "scene",
+    locate: Callable[[str], str] = str,
+    stored: bool = False,
 ) -> Scene:
     """Build a scene from JSON; a tool or the material may be the name of a preset.
 
-    `locate` says where a mesh file that the scene names lies on this machine.
+    `locate` says where a mesh file that the scene names lies on this machine. The physical limits
+    of a `stored` scene were checked before it was made.
 
     Raises:
         SceneError: unknown or missing fields, wrong types, or outside physical limits.
     """
     if not isinstance(data, Mapping):
         raise SceneError(f"{name}: a scene must be a JSON object, got {type(data).__name__}")
-    version = str(data.get("schema_version", SCHEMA_VERSION))
-    if version.partition(".")[0] != SCHEMA_VERSION.partition(".")[0]:
-        raise SceneError(f"{name}: schema_version must be {SCHEMA_VERSION}, got {version!r}")
+    version = str(data.get("schema_version", SCENE_VERSION))
+    if version.partition(".")[0] != SCENE_VERSION.partition(".")[0]:
+        raise SceneError(f"{name}: schema_version must be {SCENE_VERSION}, got {version!r}")
     given = {key: value for key, value in data.items() if key != "schema_version"}
     given.setdefault("scene_id", name)
     given.setdefault("family", "custom")
@@ -65,7 +71,8 @@ def scene_from_json(
         if isinstance(material, str)
         else _build(Material, material, f"{name}: material")
     )
-    return check_scene(_located(_build(Scene, {**given, **parts}, name), locate))
+    scene = _located(_build(Scene, {**given, **parts}, name), locate)
+    return scene if stored else check_scene(scene)
 
 
 def read_scenes(path: str | Path) -> list[Scene]:

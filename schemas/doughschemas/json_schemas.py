@@ -8,7 +8,7 @@ from doughschemas.errors import UnknownNameError
 
 __all__ = ["JSON_SCHEMAS", "read_json_schema"]
 
-JSON_SCHEMAS = ("commit", "info", "plan", "scene")
+JSON_SCHEMAS = ("commit", "info", "origin", "plan", "scene", "supplement")
 
 
 def read_json_schema(name: str) -> dict[str, Any]:

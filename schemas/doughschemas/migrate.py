@@ -1,20 +1,17 @@
 """Version policy: a newer major is refused, a newer minor warns, an older one is brought forward.
 
-1.0 is the first version, so no migration exists yet. A step is one function, old version -> new.
+What a step does to a dataset is in `doughdata.dataset.migrate`; here is which step follows which.
 """
 
 import re
 import warnings
-from collections.abc import Callable
-from typing import Any
 
 from doughschemas.errors import VersionError
 from doughschemas.records import SCHEMA_VERSION
 
-__all__ = ["MIGRATIONS", "check_version", "migration_path"]
+__all__ = ["MIGRATIONS", "check_version", "is_newer", "migration_path"]
 
-# old version -> (new version, function that brings the dataset at a local path forward)
-MIGRATIONS: dict[str, tuple[str, Callable[[Any], None]]] = {}
+MIGRATIONS = {"1.0": "1.1"}  # old version -> the version that one step makes of it
 
 
 def check_version(found: str, *, what: str) -> bool:
@@ -39,8 +36,13 @@ def check_version(found: str, *, what: str) -> bool:
     return version[0] == own[0]
 
 
-def migration_path(found: str) -> list[Callable[[Any], None]]:
-    """Steps from an older version to `SCHEMA_VERSION`, in order.
+def is_newer(found: str, *, what: str) -> bool:
+    """Whether data are of a newer version than this release writes. Raises as `check_version`."""
+    return _parsed(found, what) > _parsed(SCHEMA_VERSION, what)
+
+
+def migration_path(found: str) -> list[str]:
+    """Versions that an older one passes through on the way to `SCHEMA_VERSION`, in order.
 
     Raises:
         VersionError: no chain of steps leads there.
@@ -50,8 +52,8 @@ def migration_path(found: str) -> list[Callable[[Any], None]]:
     while version != SCHEMA_VERSION:
         if version not in MIGRATIONS:
             raise VersionError(f"no migration from schema version {version} to {SCHEMA_VERSION}")
-        version, step = MIGRATIONS[version]
-        steps.append(step)
+        version = MIGRATIONS[version]
+        steps.append(version)
     return steps
 
 

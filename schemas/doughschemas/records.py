@@ -38,7 +38,7 @@ __all__ = [
     "TopologyEvent",
 ]
 
-SCHEMA_VERSION = "1.0"
+SCHEMA_VERSION = "1.1"
 STRAY = 255  # label of a particle that belongs to no component (a crumb)
 NO_COMPONENT = 255  # label-grid value outside every component
 SEGMENT_NONE = 0  # a ray that hits nothing

@@ -1,5 +1,6 @@
 """Some scenes become a dataset of their own, and hold exactly what they held before."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from doughdata.dataset import open_dataset, open_writer, validate
+from doughdata.dataset.documents import dump_document
 from doughdata.dataset.plan import read_plans
 from doughdata.dataset.selection import SceneFilter, format_indices, parse_indices
 from doughdata.dataset.store import LocalStore
@@ -123,6 +125,26 @@ def test_a_family_can_be_extended_only_from_its_start(tmp_path: Path) -> None:
     assert open_dataset(tmp_path / "later").scenes["scene_id"].to_pylist() == names
     grown = open_writer(tmp_path / "first").plan_family("rolls", split="train", seed=0, count=4)
     assert [shard.scene_indices for shard in grown][-1] == (3,)
+    # Scene 1 is there already, written out: sampled again, it would have two places.
+    writer = open_writer(tmp_path / "later")
+    with pytest.raises(DatasetError, match=r"rolls-train-s0-000001.*another --seed"):
+        writer.plan_family("rolls", split="train", seed=0, count=2)
+    assert len(writer.plan_family("rolls", split="train", seed=0, count=1)) == 1
+    assert len(writer.plan_family("rolls", split="train", seed=1, count=2)) == 1
+
+
+def test_the_origin_is_watched(source: Path, tmp_path: Path) -> None:
+    """A changed or nonsensical `meta/origin.json` is a problem that `validate` names."""
+    subset(source, tmp_path / "new", SceneFilter(scenes=(0,)))
+    path = tmp_path / "new/meta/origin.json"
+    good = path.read_bytes()
+    assert validate(tmp_path / "new").problems == ()
+    path.write_bytes(good.replace(b"subset", b"sunset"))
+    (problem,) = validate(tmp_path / "new").problems
+    assert (problem.file, "checksum" in problem.message) == ("meta/origin.json", True)
+    path.write_bytes(dump_document({**json.loads(good), "operation": "sunset"}))
+    (problem,) = validate(tmp_path / "new").problems
+    assert (problem.file, "sunset" in problem.message) == ("meta/origin.json", True)
 
 
 def test_meshes_of_tools_come_along(tmp_path: Path) -> None:

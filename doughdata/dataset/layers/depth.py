@@ -16,6 +16,8 @@ INTRINSICS = {"width": np.int32, "height": np.int32} | dict.fromkeys(
     ("fx", "fy", "cx", "cy"), np.float64
 )
 
+CAMERA_COLUMNS = ("row", "frame_index", "view_index", "position", "quaternion", *INTRINSICS)
+
 
 def encode_depth(views: Mapping[int, DepthViews], rows: ShardRows) -> Encoded:
     """Arrays `depth` and `segments`; table views. A view's row is its place in that table.
@@ -37,8 +39,8 @@ def encode_depth(views: Mapping[int, DepthViews], rows: ShardRows) -> Encoded:
         raise BadInputError("a depth layer needs at least one view")
     axes, attributes = ("view", "y", "x"), {"depth_unit": units.pop()}  # [m]
     arrays = {
-        "depth": ArraySpec(data=depth, axes=axes, fill=0, shuffle="shuffle", attributes=attributes),
-        "segments": ArraySpec(data=segments, axes=axes, fill=0, shuffle="shuffle"),
+        "depth": ArraySpec(data=depth, axes=axes, fill=0, image=True, attributes=attributes),
+        "segments": ArraySpec(data=segments, axes=axes, fill=0, image=True),
     }
     return Encoded(arrays=arrays, tables={"views": _views_table(views)})
 
@@ -51,12 +53,13 @@ def decode_depth(shard: LayerShard, scene_index: int, frame_index: int | None = 
     else:
         here = index.frame_rows(scene_index, frame_index)
     count = here.stop - here.start
-    start = int(index.column("row")[here.start]) if count else 0
+    index.load(CAMERA_COLUMNS, here)
+    start = int(index.value("row", here.start)) if count else 0
     return DepthViews(
         depth=depth.rows(start, start + count),
         segments=shard.array("segments").rows(start, start + count),
-        frame_index=index.column("frame_index")[here].copy(),
-        view_index=index.column("view_index")[here].copy(),
+        frame_index=index.values("frame_index", here).copy(),
+        view_index=index.values("view_index", here).copy(),
         cameras=tuple(_camera(index, row) for row in range(here.start, here.stop)),
         depth_unit=float(depth.attributes["depth_unit"]),
     )
@@ -98,10 +101,10 @@ def _vectors(values: Sequence[Sequence[float]]) -> pa.FixedSizeListArray:
 
 
 def _camera(views: TableIndex, row: int) -> Camera:
-    x, y, z = views.column("position")[row].tolist()
-    i, j, k, w = views.column("quaternion")[row].tolist()
+    x, y, z = views.value("position", row).tolist()
+    i, j, k, w = views.value("quaternion", row).tolist()
     return Camera(
-        intrinsics=Intrinsics(**{name: views.column(name)[row].item() for name in INTRINSICS}),
+        intrinsics=Intrinsics(**{name: views.value(name, row).item() for name in INTRINSICS}),
         position=(x, y, z),
         quaternion=(i, j, k, w),
     )

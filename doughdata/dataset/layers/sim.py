@@ -1,12 +1,14 @@
 """Layer `sim`: particles, tool poses, and the scenes themselves."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from doughdata.dataset.arrays import ArraySpec, padded_length
+from doughdata.dataset.contacts import CONTACT_COLUMNS, contact_arrays
 from doughdata.dataset.layers.columns import frame_columns, vectors, vectors_array
 from doughdata.dataset.shards import Encoded, LayerShard, ShardRows
 from doughdata.scenes import scene_to_json
@@ -16,9 +18,15 @@ __all__ = ["decode_particles", "encode_sim"]
 
 
 def encode_sim(
-    particles: Mapping[int, Particles], scenes: Mapping[int, Scene], rows: ShardRows
+    particles: Mapping[int, Particles],
+    scenes: Mapping[int, Scene],
+    rows: ShardRows,
+    *,
+    contacts: Mapping[int, Mapping[str, Sequence[Any]]],
 ) -> Encoded:
     """Arrays `positions`, `object_ids`, `num_particles`; tables scenes, frames, tool_poses.
+
+    `contacts` are the scenes' columns from `particle_contacts`.
 
     Raises:
         BadInputError: a scene has another number of key frames than the dataset.
@@ -45,7 +53,7 @@ def encode_sim(
     order = {index: particles[index] for index in rows.scenes}
     tables = {
         "scenes": _scenes_table(order, scenes, rows),
-        "frames": _frames_table(order),
+        "frames": _frames_table(order, contacts),
         "tool_poses": _tool_table(order),
     }
     return Encoded(arrays=arrays, tables=tables)
@@ -125,10 +133,16 @@ def _scenes_table(
     return pa.Table.from_pylist(entries, schema=schema)
 
 
-def _frames_table(particles: Mapping[int, Particles]) -> pa.Table:
+def _frames_table(
+    particles: Mapping[int, Particles], contacts: Mapping[int, Mapping[str, Sequence[Any]]]
+) -> pa.Table:
     lengths = {index: len(record.timestamps) for index, record in particles.items()}
     frames = {k: np.arange(n) for k, n in lengths.items()}
     records = particles.values()
+    columns = {
+        name: [value for index in particles for value in contacts[index][name]]
+        for name, _ in CONTACT_COLUMNS["sim"]
+    }
     return pa.table(
         {
             **frame_columns(frames),
@@ -138,6 +152,7 @@ def _frames_table(particles: Mapping[int, Particles]) -> pa.Table:
             ),
             "opening": np.concatenate([r.tool_poses.opening for r in records]).astype(np.float64),
             "action": np.concatenate([r.tool_poses.action for r in records]).astype(np.int32),
+            **contact_arrays("sim", columns),
         }
     )
 

@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow as pa
 
 from doughdata.dataset.arrays import ArraySpec, padded_length
+from doughdata.dataset.contacts import contact_arrays, piece_contacts
 from doughdata.dataset.layers.columns import frame_columns, int_lists, vectors
 from doughdata.dataset.shards import Encoded, LayerShard, ShardRows, TableIndex
 from doughschemas import STRAY, BadInputError, FrameTopology, SceneGraph, Topology, TopologyEvent
@@ -53,18 +54,20 @@ def decode_frame_topology(
     key = (scene_index, frame_index)
     frames, nodes = shard.table("frames"), shard.table("graph_nodes")
     at, here = frames.frame_rows(*key).start, nodes.frame_rows(*key)
+    frames.load(("genus", "ambiguous_reason"), slice(at, at + 1))
+    nodes.load(("position", "component", "particles"), here)
     row = shard.rows.start(scene_index) + frame_index
     return FrameTopology(
         labels=shard.array("labels").row(row)[:num_particles].copy(),
-        genus=tuple(frames.column("genus")[at]),
+        genus=tuple(frames.value("genus", at)),
         graph=SceneGraph(
-            positions=nodes.column("position")[here].astype(np.float32),
-            components=nodes.column("component")[here].astype(np.uint8),
-            particles=nodes.column("particles")[here].astype(np.int32),
+            positions=nodes.values("position", here).astype(np.float32),
+            components=nodes.values("component", here).astype(np.uint8),
+            particles=nodes.values("particles", here).astype(np.int32),
             edges=_frame_pairs(shard.table("graph_edges"), key),
         ),
         contacts=_frame_pairs(shard.table("contacts"), key),
-        ambiguous_reason=frames.column("ambiguous_reason")[at],
+        ambiguous_reason=frames.value("ambiguous_reason", at),
     )
 
 
@@ -114,6 +117,7 @@ def _frames_table(topologies: Mapping[int, Topology]) -> pa.Table:
             "ambiguous_reason": pa.array([f.ambiguous_reason for f in frames], pa.string()),
             "static_num_components": np.concatenate(static).astype(np.int32),
             "static_genus": int_lists([g for t in topologies.values() for g in t.static_genus]),
+            **contact_arrays("topology", piece_contacts(frames)),
         }
     )
 
@@ -174,7 +178,8 @@ def _bonds_table(topologies: Mapping[int, Topology]) -> pa.Table:
 
 def _frame_pairs(index: TableIndex, key: tuple[int, int]) -> np.ndarray:
     here = index.frame_rows(*key)
-    return np.stack([index.column("a")[here], index.column("b")[here]], axis=1).astype(np.int32)
+    index.load(("a", "b"), here)
+    return np.stack([index.values("a", here), index.values("b", here)], axis=1).astype(np.int32)
 
 
 def _pairs(table: pa.Table) -> np.ndarray:
