@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 
 from doughdata.topology.readings import LoopWindow, Reading, read_component, solid_with
 from doughdata.topology.runs import refine, runs_of
-from doughdata.topology.skeletons import Skeleton, cycle_rank, skeleton_of
+from doughdata.topology.skeletons import Skeleton, cycle_rank, skeleton_of, without_small_cycles
 from doughdata.topology.solids import Solid
 from doughschemas import SceneGraph
 
@@ -164,7 +164,7 @@ class _Track:
                 and reading.genus == genus[offset]
             ):
                 solid = self._solid_for(frame, genus[offset])
-                skeleton, made = skeleton_of(solid), frame
+                skeleton, made = without_small_cycles(skeleton_of(solid), genus[offset]), frame
                 members = self.members[offset]
                 anchor, start = members, self._at(frame, members)
                 node = np.asarray(KDTree(skeleton.positions).query(start)[1])

@@ -96,13 +96,13 @@ def solid_with(
     spacing: float,
     genus: int,
 ) -> Solid:
-    """The first closing of a component [m] with this genus; the first of all if none has it."""
+    """The first closing of a component [m] with this genus, else one with few handles more."""
     closing = Closing(x, spacing, largest=max(SOLID_RADII))
-    first = None
-    for radius in SOLID_RADII:
+    found: list[tuple[int, int, Solid]] = []
+    for order, radius in enumerate(SOLID_RADII):
         (solid,) = closing.opened([closing.solid(radius)], walls)
-        if solid_genus(solid.inside) == genus:
+        more = solid_genus(solid.inside) - genus
+        if more == 0:
             return solid
-        first = first or solid
-    assert first is not None
-    return first
+        found.append((more if more > 0 else len(x) - more, order, solid))
+    return min(found, key=lambda one: one[:2])[2]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64
 from scipy.ndimage import binary_fill_holes
 from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import connected_components, dijkstra, minimum_spanning_tree
 from scipy.spatial import KDTree
 from skimage.measure import label
 from skimage.morphology import skeletonize
@@ -17,7 +17,7 @@ from skimage.morphology import skeletonize
 from doughdata.topology.pairs import connected
 from doughdata.topology.solids import Solid
 
-__all__ = ["Skeleton", "cycle_rank", "skeleton_of"]
+__all__ = ["Skeleton", "cycle_rank", "skeleton_of", "without_small_cycles"]
 
 NODE_LENGTH = 0.008  # [m], between nodes of a graph
 SPUR = 0.008  # [m], branches that end sooner are no branches
@@ -71,6 +71,23 @@ def skeleton_of(solid: Solid, *, length: float = NODE_LENGTH, spur: float = SPUR
     arcs = _prune(arcs, spur / solid.size)
     points, edges = _simple(nodes, arcs, length / solid.size)
     return Skeleton(positions=solid.origin + points * solid.size, edges=edges)
+
+
+def without_small_cycles(skeleton: Skeleton, rank: int) -> Skeleton:
+    """The same graph with at most `rank` cycles: those that close the shortest loops are opened."""
+    edges, nodes = skeleton.edges, len(skeleton.positions)
+    extra = cycle_rank(nodes, edges) - rank
+    if extra <= 0:
+        return skeleton
+    length = np.linalg.norm(np.diff(skeleton.positions[edges], axis=1)[:, 0], axis=1)
+    graph = coo_matrix((length, (edges[:, 0], edges[:, 1])), (nodes, nodes))
+    tree = minimum_spanning_tree(graph).tocoo()
+    kept = {frozenset(pair) for pair in zip(tree.row.tolist(), tree.col.tolist(), strict=True)}
+    closing = [k for k, pair in enumerate(edges.tolist()) if frozenset(pair) not in kept]
+    way = dijkstra(tree, directed=False, indices=edges[closing, 0])
+    loop = length[closing] + way[np.arange(len(closing)), edges[closing, 1]]
+    opened = np.asarray(closing)[np.argsort(loop, kind="stable")[:extra]]
+    return Skeleton(positions=skeleton.positions, edges=np.delete(edges, opened, axis=0))
 
 
 def _trace(

@@ -5,6 +5,7 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 from skimage.measure import euler_number, label
 
+from doughdata.topology.skeletons import Skeleton, cycle_rank, without_small_cycles
 from doughdata.topology.solids import COVER, VOXEL, Closing, solid_genus
 
 SPACING = 0.002
@@ -53,3 +54,17 @@ def test_wall_parts_two_blocks() -> None:
     assert [own.max() for own in lumps] == [1, 2]
     taken = closing.origin[0] + np.argwhere(whole.inside & ~parted.inside)[:, 0] * closing.size
     assert np.abs(taken - 4.5 * SPACING).max() < 2 * SPACING
+
+
+def test_small_cycles_are_opened_first() -> None:
+    """Of a large and a small loop the small one goes; the graph stays one part."""
+    corners = np.array([[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0], [5, 0, 0], [5, 1, 0]], float)
+    edges = np.array([[0, 1], [1, 2], [2, 3], [3, 0], [1, 4], [4, 5], [5, 1]], np.int32)
+    graph = Skeleton(positions=corners, edges=edges)
+    assert cycle_rank(6, graph.edges) == 2
+    one = without_small_cycles(graph, 1)
+    assert cycle_rank(6, one.edges) == 1
+    assert {(0, 1), (1, 2), (2, 3), (3, 0)} <= {tuple(pair) for pair in one.edges.tolist()}
+    for rank in (0, 1, 2, 3):
+        left = without_small_cycles(graph, rank).edges
+        assert len(left) - 6 + 1 == min(rank, 2)
