@@ -20,7 +20,7 @@ class Pretzels:
 
 def _bodies(scale: float, rng: np.random.Generator) -> tuple[Body, ...]:
     # Every hole is at least 14 mm wide: it stays open while the dough settles, and is far from the
-    # 8 mm below which 2 mm particles cannot tell a hole from a crease.
+    # 6 mm between 2 mm particles below which the check sees no hole.
     parameters = {
         "holes": int(rng.integers(2, 4)),
         "ring_radius": between(0.014, 0.018, scale),
