@@ -16,6 +16,7 @@ from tests.recordings_damage import chunk_spans
 from tests.recordings_made import ROS2
 
 MUG = Path(__file__).parent / "data" / "recordings" / "red_mug.mcap"
+COLLECTION = Path(__file__).parents[2] / "shared" / "recordings"  # beside a working copy
 CHUNK = 100_000  # bytes, so that there are several chunks
 BARE = {
     "index_types": IndexType.NONE,
@@ -34,6 +35,11 @@ class _Raw:
     schema: bytes
     time: int
     data: bytes
+
+
+def real_recordings() -> list[Path]:
+    """The one in the repository, and those of the collection where it is there."""
+    return [MUG, *sorted(COLLECTION.glob("*.mcap"))]
 
 
 def _messages() -> Iterator[_Raw]:

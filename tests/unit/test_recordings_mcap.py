@@ -13,6 +13,7 @@ from doughdata.recordings.options import TopicOptions
 from doughdata.recordings.topics import choose_topics
 from tests.recordings_damage import Whole, chunk_spans, content_of, corrupted, silent_loss
 from tests.recordings_made import Recording, rolls_picture, write_mcap
+from tests.recordings_samples import real_recordings
 
 COMPRESSIONS = list(CompressionType)
 
@@ -251,9 +252,17 @@ def test_no_damage_is_silent_2000(tmp_path, compression):
     check_damage(path, tmp_path / "b.mcap", count=2000)
 
 
-def check_damage(path, bad, *, count):
+@pytest.mark.slow
+def test_no_damage_of_real_recordings_is_silent_2000(tmp_path):
+    """The same with 2,000 damages, dealt out to all real recordings that are at hand."""
+    samples = real_recordings()
+    for number, path in enumerate(samples):
+        check_damage(path, tmp_path / "b.mcap", count=2000 // len(samples), first=10_000 * number)
+
+
+def check_damage(path, bad, *, count, first=0):
     """Damage a file again and again; each result must be told or whole."""
     whole = Whole.of(path)
-    for seed in range(count):
+    for seed in range(first, first + count):
         bad.write_bytes(corrupted(whole.data, whole.spans, np.random.default_rng(seed)))
         assert not silent_loss(bad, whole), seed

@@ -7,7 +7,6 @@ lies beside the checkout, those go through the same table.
 import json
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,10 +16,9 @@ from doughcli.app import main
 from doughdata.dataset import open_dataset
 from doughdata.geometry import pixel_rays, quaternion_to_matrix
 from doughschemas import SEGMENT_COMPONENT
-from tests.recordings_samples import MAKE, MUG
+from tests.recordings_samples import COLLECTION, MAKE, MUG
 from tests.unit.test_recordings_real import ransac
 
-SAMPLES = Path(__file__).parents[3] / "shared" / "recordings"
 LENS = {"width": 640, "height": 480, "fx": 616.37, "fy": 616.2, "cx": 310.3, "cy": 236.6}
 MESSAGES = 28  # of a whole sample
 
@@ -115,14 +113,14 @@ def _messages_of(chunk):
     return found
 
 
-@pytest.mark.parametrize("origin", ["made", *["collection"] * SAMPLES.is_dir()])
+@pytest.mark.parametrize("origin", ["made", *["collection"] * COLLECTION.is_dir()])
 @pytest.mark.parametrize(("name", "options", "told"), TABLE, ids=lambda v: str(v)[:20])
 def test_a_damaged_recording(made, tmp_path, capfd, monkeypatch, origin, name, options, told):
     """Exit code, one line that says why, and either no dataset or one with frames and losses.
 
     Messages that a salvage reads are those that the standard library finds in whole chunks.
     """
-    path = made / name if origin == "made" else SAMPLES / "damaged" / name
+    path = made / name if origin == "made" else COLLECTION / "damaged" / name
     (tmp_path / "lens.json").write_text(json.dumps(LENS))
     code, lines = run(path, tmp_path, capfd, monkeypatch, *options)
     assert code == told.code, lines
@@ -143,7 +141,7 @@ def test_a_damaged_recording(made, tmp_path, capfd, monkeypatch, origin, name, o
 
 def test_objects_are_found(tmp_path, capfd, monkeypatch):
     """In each scene one object is found; the table is where a RANSAC done apart finds it."""
-    found = [path for name in OBJECTS if (path := SAMPLES / name).exists()] or [MUG]
+    found = [path for name in OBJECTS if (path := COLLECTION / name).exists()] or [MUG]
     for path in found:
         folder = tmp_path / path.stem
         folder.mkdir()
