@@ -77,7 +77,7 @@ class AlphaComplex:
         pairs) are left out.
         """
         kept = ~is_member(self.ends[:, 0] * self.count + self.ends[:, 1], without)
-        whole = kept[self.sides].all(axis=1)
+        whole = np.asarray(kept[self.sides].all(axis=1))
         first, last = (self._rank(*windows[k], kept, whole) for k in (0, -1))
         if first == last:
             return [first] * len(windows)

@@ -28,7 +28,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 COMMANDS = (
     *("generate", "render", "validate", "reproduce", "info", "stats", "view", "export"),
-    *("plugins", "scenes", "gc", "merge", "subset", "split", "card", "convert"),
+    *("plugins", "scenes", "gc", "merge", "subset", "split", "card", "convert", "migrate"),
 )
 
 
