@@ -167,7 +167,8 @@ def well_composed_genus(inside: Bool[np.ndarray, "nx ny nz"], *, shells: int | N
     cells = np.count_nonzero((codes != 0) & (codes != 255))
     rows = (np.moveaxis(inside, axis, 0) for axis in range(3))
     edges = sum(np.count_nonzero(row[1:] != row[:-1]) for row in rows)
-    if shells is None:
+    known = shells
+    if known is None:
         ndimage = require_package("scipy.ndimage", extra="sim")
-        shells = ndimage.label(inside)[1] + ndimage.label(~inside)[1] - 1
-    return int(shells - (cells - edges) // 2)
+        known = int(ndimage.label(inside)[1] + ndimage.label(~inside)[1] - 1)
+    return int(known - (cells - edges) // 2)
