@@ -1,13 +1,12 @@
 """Genus and scene graph of every component in every key frame.
 
-A genus is the number of loops that last while balls around the particles grow. It is read at few
-key frames and only looked at more closely where two readings differ. A reading speaks for a range
-of genus: unmerged contacts are kept open by walls, which may open a loop but make no handle, so
-that the truth is not above what is read with walls, nor below what is read both with and without
-them. It changes when a reading is firm (one value, also for holes a little smaller or larger) and
-lasts for four key frames or to the end of the scene; it grows only if something was merged within
-one piece: a cut takes handles away, and none comes from nothing. Else the genus before stays. A key
-frame is unsure if its readings exclude its genus.
+A genus is the number of loops that last while balls around the particles grow (`readings.py`). It
+is read at few key frames and only looked at more closely where two readings differ, or where
+something was merged or cut. It changes when a reading is firm (one value, also for holes a little
+smaller or larger) or leaves no room for the genus before, and lasts for four key frames or to the
+end of the scene; it grows only if something was merged within one piece: a cut takes handles away,
+and none comes from nothing. Else the genus before stays. A key frame is unsure if its readings
+exclude its genus.
 """
 
 import itertools
