@@ -41,6 +41,8 @@ def command(
         print(f"{dataset}: format {found.after} is the newest, nothing to do")
         return
     kept = f", {found.kept} were there" if found.kept else ""
-    step = f"from format {found.before} to {found.after}"
-    verb = "would bring" if dry_run else "brought"
-    print(f"{dataset}: {verb} {step}, {found.supplements} documents added{kept}")
+    step = f"brought from format {found.before} to {found.after}"
+    if found.before == found.after:
+        step = f"derived tables brought up to format {found.after}"
+    would = "would be " if dry_run else ""
+    print(f"{dataset}: {would}{step}, {found.supplements} documents added{kept}")

@@ -3,13 +3,16 @@
 1.0 -> 1.1: every commit of `sim` and `topology` gets a supplement with the contact columns of its
 key frames; then the derived tables are rebuilt and `meta/info.json` says 1.1. Supplements are
 published one by one and never replaced, and the version comes last: whenever it is interrupted, the
-dataset is a good 1.0 dataset, and the same call goes on.
+dataset reads as before (`validate` may call derived tables outdated), and the same call goes on.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from doughdata.dataset.commits import CommitLog, CommitRecord
 from doughdata.dataset.completion import computed_columns
@@ -23,8 +26,8 @@ from doughdata.dataset.supplements import (
     read_schema,
     read_supplement,
 )
-from doughdata.dataset.tables import refresh_tables
-from doughschemas import SCHEMA_VERSION, DamagedDatasetError
+from doughdata.dataset.tables import refresh_tables, table_schemas
+from doughschemas import SCHEMA_VERSION, DamagedDatasetError, DatasetError
 from doughschemas.migrate import migration_path
 
 __all__ = ["Migrated", "migrate"]
@@ -41,11 +44,12 @@ class Migrated:
     after: str
     supplements: int  # documents that were added
     kept: int  # that an earlier, interrupted call had added
+    outdated: bool  # derived tables are not as this version has them, and are rebuilt
 
     @property
     def changed(self) -> bool:
         """Whether there was anything to do."""
-        return self.before != self.after or self.supplements > 0
+        return self.before != self.after or self.supplements > 0 or self.outdated
 
 
 def migrate(
@@ -76,6 +80,7 @@ def migrate(
         after=SCHEMA_VERSION,
         supplements=len(missing),
         kept=len(lacking) - len(missing),
+        outdated=_outdated(store),
     )
     if dry_run or not result.changed:
         return result
@@ -87,6 +92,22 @@ def migrate(
             on_scenes(done, total)
     refresh_tables(store, version=SCHEMA_VERSION)
     return result
+
+
+def _outdated(store: Store) -> bool:
+    """Whether a derived table is missing, damaged, or of another version's columns.
+
+    An older release rebuilds them without the newer columns, and an interrupted call not at all.
+    """
+    for name, schema in table_schemas(SCHEMA_VERSION).items():
+        try:
+            found = pq.read_schema(pa.BufferReader(store.read(f"meta/{name}.parquet")))
+        except (DatasetError, OSError, pa.ArrowException):
+            return True
+        version = (found.metadata or {}).get(b"schema_version")
+        if version != SCHEMA_VERSION.encode() or not {*schema.names} <= {*found.names}:
+            return True
+    return False
 
 
 def _lacking(store: Store, log: CommitLog) -> Iterator[tuple[CommitRecord, bool]]:

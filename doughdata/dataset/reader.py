@@ -216,9 +216,12 @@ class Dataset:
                 continue
             frames = shard.frames_with_contacts()
             row = frames.frame_rows(scene_index, frame_index).start
-            found |= {name: frames.value(name, row) for name, _ in columns}
-        table = found["table_contacts"]
-        if table is None or table != table:  # a column of nulls comes as None or NaN
+            found |= {name: _known(frames.value(name, row)) for name, _ in columns}
+        # Fingers alone may be unknown: of a key frame whose action the scene does not have.
+        counts = [
+            found[name] for name in ("table_contacts", "touching_components") if name in found
+        ]
+        if None in counts:
             raise MissingLayerError(
                 f"{self.uri}: scene {scene_index} has no contacts, it was written in format 1.0; "
                 f"`doughdata migrate --dataset {self.uri}` computes them"
@@ -307,6 +310,11 @@ class Dataset:
                 _forget_oldest(shards)
         shards.move_to_end(key)
         return shards[key]
+
+
+def _known(value: Any) -> Any:
+    """A value of a column; nulls among numbers come as NaN."""
+    return None if value is None or value != value else value
 
 
 def _forget_oldest(shards: OrderedDict[tuple[str, str], LayerShard]) -> None:

@@ -24,7 +24,13 @@ from doughdata.dataset.selection import SceneFilter
 from doughdata.dataset.store import LocalStore
 from doughdata.dataset.subset import subset
 from doughdata.dataset.tables import refresh_tables
-from doughschemas import DamagedDatasetError, DatasetError, SceneGraph, VersionError
+from doughschemas import (
+    DamagedDatasetError,
+    DatasetError,
+    MissingLayerError,
+    SceneGraph,
+    VersionError,
+)
 from tests.closed_form import cut_ring, joined_bars
 from tests.dataset_helpers import STAGES, new_writer, write_examples
 
@@ -106,6 +112,9 @@ def test_kill_9(cubes, tmp_path, method, after):
     half = open_dataset(cubes)
     assert half.info["schema_version"] == "1.0"
     assert half.read_particles(1).positions.shape == (3, 240, 3)
+    if after < 2:  # nobody has computed what touches what of the pieces
+        with pytest.raises(MissingLayerError, match="doughdata migrate"):
+            _ = half.frame(scene=1, frame=0).contacts
     if method == "create":  # no derived file was touched yet
         assert validate(cubes, deep=True).problems == ()
     found = migrate(cubes)
@@ -153,6 +162,34 @@ def test_what_an_older_release_adds_is_brought_forward(old):
     found = migrate(old)
     assert (found.before, found.supplements) == ("1.1", 1)
     assert open_dataset(old).frames.equals(frames)
+
+
+def test_tables_that_an_older_release_rebuilt_are_rebuilt(old):
+    """Derived tables without the newer columns are outdated, though every supplement is there."""
+    plain = {path: path.read_bytes() for path in old.glob("meta/*.parquet")}
+    migrate(old)
+    frames = open_dataset(old).frames
+    for path, data in plain.items():
+        path.write_bytes(data)
+    assert migrate(old, dry_run=True).outdated
+    found = migrate(old)
+    assert (found.supplements, found.changed) == (0, True)
+    assert open_dataset(old).frames.equals(frames)
+    assert validate(old, deep=True).problems == ()
+    assert not migrate(old).changed
+
+
+def test_a_wrong_tool_contact_is_found(cubes):
+    """A flag that contradicts the stored counts is told by deep validation."""
+    migrate(cubes)
+    (path,) = cubes.glob("meta/supplements/sim/*.json")
+    document = json.loads(path.read_text())
+    flags = document["columns"]["tool_contact"]
+    columns = {**document["columns"], "tool_contact": [not flag for flag in flags]}
+    content = {name: value for name, value in document.items() if name != "sha256"}
+    path.write_bytes(dump_document({**content, "columns": columns}))
+    refresh_tables(LocalStore(cubes))
+    assert any("tool_contact" in p.message for p in validate(cubes, deep=True).problems)
 
 
 def test_a_dataset_keeps_its_version_until_it_is_migrated(old):
