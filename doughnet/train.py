@@ -249,7 +249,8 @@ class _Run:
             self.config.average_decay,
             self.config.clip,
             self.config.seed,
-            self.provenance,
+            # How often something is saved or recorded, which stands in `train`, changes no weight.
+            {name: value for name, value in self.provenance.items() if name != "train"},
         )
         return repr(parts)
 

@@ -26,11 +26,11 @@ FLAT = 1e-9  # volume over cubed length below which a tetrahedron has no circums
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlphaComplex:
-    """Delaunay simplices of a set of points, each with the radius at which it appears."""
+    """Delaunay edges and triangles of points, each with the radius at which it appears."""
 
     count: int  # points
-    tetrahedra: Float64[np.ndarray, " tetrahedra"]  # radii
-    triangles: Float64[np.ndarray, " triangles"]
+    solids: int  # tetrahedra
+    triangles: Float64[np.ndarray, " triangles"]  # radii
     edges: Float64[np.ndarray, " edges"]
     ends: Int64[np.ndarray, "edges 2"]  # points of an edge, rising
     sides: Int64[np.ndarray, "triangles 3"]  # edges of a triangle
@@ -38,7 +38,10 @@ class AlphaComplex:
 
     @classmethod
     def of(cls, points: Float64[np.ndarray, "points 3"]) -> "AlphaComplex":
-        """Tetrahedralise points, about one unit apart; radii come in that unit."""
+        """Tetrahedralise points, about one unit apart; radii come in that unit.
+
+        Fewer than five points, and points of one plane, have no simplices.
+        """
         if len(points) < FEWEST or np.linalg.matrix_rank(points - points.mean(axis=0)) < 3:
             return _empty(len(points))
         # Points of a regular grid lie on common spheres: no tetrahedralisation is the only one.
@@ -58,7 +61,7 @@ class AlphaComplex:
         ends = np.stack(np.divmod(keys, len(points)), axis=1)
         return cls(
             count=len(points),
-            tetrahedra=radius,
+            solids=len(corners),
             triangles=triangles,
             edges=_edge_radii(points, ends, sides, three, triangles),
             ends=ends,
@@ -78,7 +81,8 @@ class AlphaComplex:
         """
         kept = ~is_member(self.ends[:, 0] * self.count + self.ends[:, 1], without)
         whole = np.asarray(kept[self.sides].all(axis=1))
-        first, last = (self._rank(*windows[k], kept, whole) for k in (0, -1))
+        first = self._rank(*windows[0], kept, whole)
+        last = self._rank(*windows[-1], kept, whole) if len(windows) > 1 else first
         if first == last:
             return [first] * len(windows)
         return [first, *(self._rank(*own, kept, whole) for own in windows[1:-1]), last]
@@ -96,17 +100,16 @@ class AlphaComplex:
         # Boundaries at death that lie in the complex at birth: all, less what takes late edges.
         sides = self.sides[filled]
         late = sparse_rank(np.where(early[sides], -1, sides))
-        return cycles - (self._boundaries(filled, death) - late)
+        return cycles - (self._boundaries(filled) - late)
 
-    def _boundaries(self, triangles: Bool[np.ndarray, " triangles"], radius: float) -> int:
-        """Dimension of the boundaries of triangles: their number less that of closed surfaces."""
-        tetrahedra = self.tetrahedra <= radius
-        missing = self.beside[~triangles]
-        tetrahedra[missing[missing >= 0]] = False
-        hollow = len(self.tetrahedra)  # number of the outside
-        voids = _parts(np.where(missing < 0, hollow, missing), hollow + 1) - int(tetrahedra.sum())
-        # Surfaces: the boundaries of the tetrahedra, and the voids but for the outside.
-        return int(triangles.sum()) - int(tetrahedra.sum()) - (voids - 1)
+    def _boundaries(self, triangles: Bool[np.ndarray, " triangles"]) -> int:
+        """Dimension of the boundaries of triangles: their number less that of closed surfaces.
+
+        Those are the parts of the rest of space, less one (Alexander duality).
+        """
+        rest = self.beside[~triangles]
+        rest = np.where(rest < 0, self.solids, rest)  # all that is outside the hull is one
+        return int(triangles.sum()) - (_parts(rest, self.solids + 1) - 1)
 
 
 def sparse_rank(columns: Int64[np.ndarray, "columns 3"]) -> int:
@@ -139,7 +142,7 @@ def sparse_rank(columns: Int64[np.ndarray, "columns 3"]) -> int:
 def _empty(count: int) -> AlphaComplex:
     return AlphaComplex(
         count=count,
-        tetrahedra=np.zeros(0),
+        solids=0,
         triangles=np.zeros(0),
         edges=np.zeros(0),
         ends=np.zeros((0, 2), np.int64),

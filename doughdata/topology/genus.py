@@ -77,7 +77,7 @@ class _Track:
         return self._shapes(genus, steady)
 
     def _settled(self, low: int, high: int) -> bool:
-        """Whether the genus cannot have changed, and come back, between two key frames.
+        """Whether no test changed anything between two key frames, or nothing moved.
 
         What touches without being merged changes nothing.
         """
@@ -151,7 +151,7 @@ class _Track:
 
     def _shapes(self, genus: list[int], sure: list[bool]) -> list[Shape]:
         shapes: list[Shape] = []
-        made, skeleton = -1, None
+        made, skeleton, clear = -1, None, True
         anchor = node = np.zeros(0, np.int64)
         start = np.zeros((0, 3))
         for offset, frame in enumerate(range(self.first, self.last + 1)):
@@ -163,7 +163,8 @@ class _Track:
                 and reading.genus == genus[offset]
             ):
                 solid = self._solid_for(frame, genus[offset])
-                skeleton, made = without_small_cycles(skeleton_of(solid), genus[offset]), frame
+                skeleton, clear = without_small_cycles(skeleton_of(solid), genus[offset])
+                made = frame
                 members = self.members[offset]
                 anchor, start = members, self._at(frame, members)
                 node = np.asarray(KDTree(skeleton.positions).query(start)[1])
@@ -171,7 +172,7 @@ class _Track:
             shapes.append(
                 Shape(
                     genus=_rank(skeleton),  # the record's graph and genus agree, sure or not
-                    sure=sure[offset] and _rank(skeleton) == genus[offset],
+                    sure=sure[offset] and clear and _rank(skeleton) == genus[offset],
                     nodes=skeleton.positions + moved,
                     skeleton=skeleton,
                     parted=reading is not None and reading.parted,

@@ -21,6 +21,7 @@ __all__ = ["Skeleton", "cycle_rank", "skeleton_of", "without_small_cycles"]
 
 NODE_LENGTH = 0.008  # [m], between nodes of a graph
 SPUR = 0.008  # [m], branches that end sooner are no branches
+SMALL = 0.6  # of the shortest loop that is kept, below which a loop may be opened without a doubt
 NEIGHBOUR = 1.8  # [voxels]; over sqrt(3), below 2: the 26 neighbours
 
 
@@ -73,12 +74,15 @@ def skeleton_of(solid: Solid, *, length: float = NODE_LENGTH, spur: float = SPUR
     return Skeleton(positions=solid.origin + points * solid.size, edges=edges)
 
 
-def without_small_cycles(skeleton: Skeleton, rank: int) -> Skeleton:
-    """The same graph with at most `rank` cycles: those that close the shortest loops are opened."""
+def without_small_cycles(skeleton: Skeleton, rank: int) -> tuple[Skeleton, bool]:
+    """The same graph with at most `rank` cycles: those that close the shortest loops are opened.
+
+    Also whether it is clear which: none that was opened is nearly as long as one that was kept.
+    """
     edges, nodes = skeleton.edges, len(skeleton.positions)
     extra = cycle_rank(nodes, edges) - rank
     if extra <= 0:
-        return skeleton
+        return skeleton, True
     length = np.linalg.norm(np.diff(skeleton.positions[edges], axis=1)[:, 0], axis=1)
     graph = coo_matrix((length, (edges[:, 0], edges[:, 1])), (nodes, nodes))
     tree = minimum_spanning_tree(graph).tocoo()
@@ -86,8 +90,10 @@ def without_small_cycles(skeleton: Skeleton, rank: int) -> Skeleton:
     closing = [k for k, pair in enumerate(edges.tolist()) if frozenset(pair) not in kept]
     way = dijkstra(tree, directed=False, indices=edges[closing, 0])
     loop = length[closing] + way[np.arange(len(closing)), edges[closing, 1]]
-    opened = np.asarray(closing)[np.argsort(loop, kind="stable")[:extra]]
-    return Skeleton(positions=skeleton.positions, edges=np.delete(edges, opened, axis=0))
+    order = np.argsort(loop, kind="stable")
+    clear = rank <= 0 or bool(loop[order[extra - 1]] < SMALL * loop[order[extra]])
+    opened = np.asarray(closing)[order[:extra]]
+    return Skeleton(positions=skeleton.positions, edges=np.delete(edges, opened, axis=0)), clear
 
 
 def _trace(

@@ -105,8 +105,8 @@ def static_genus(
 ) -> list[tuple[int, ...]]:
     """Genus of every component of the static check in every key frame, largest component first.
 
-    `pieces` are those of particles nearer than `config.radius`. As in the dynamic check, solids are
-    read at least every `STRIDE` key frames and wherever two readings differ, and kept in between.
+    `pieces` are those of particles nearer than `config.radius`. Solids are read at
+    least every `STRIDE` key frames in which anything moves, and wherever two readings differ.
     """
     crumb = crumb_limit(particles, config.crumb_share, config.crumb_volume)
     parts = [components_of(piece, crumb=crumb) for piece in pieces]
