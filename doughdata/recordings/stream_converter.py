@@ -1,5 +1,6 @@
 """The outer shell of converters of message streams: what differs is how a file is opened."""
 
+from abc import ABC, abstractmethod
 from pathlib import Path
 
 from doughdata.recordings.conversion import convert_recording
@@ -14,13 +15,14 @@ from doughschemas import MissingPackageError
 __all__ = ["StreamConverter"]
 
 
-class StreamConverter:
+class StreamConverter(ABC):
     """A converter of recordings that are topics with messages; `takes` and `open` are its own."""
 
+    @abstractmethod
     def takes(self, path: Path) -> bool:
         """Whether this looks like a file or folder of its kind; cheap, and never raises."""
-        raise NotImplementedError
 
+    @abstractmethod
     def open(self, path: Path, on_progress: OnProgress) -> Source:
         """Read a recording through once.
 
@@ -29,7 +31,6 @@ class StreamConverter:
         Raises:
             RecordingError: it is no recording of this kind.
         """
-        raise NotImplementedError
 
     def convert(
         self,
