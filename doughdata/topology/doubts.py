@@ -63,7 +63,7 @@ def with_doubts(
 def _unread(shapes: Sequence[Shape]) -> list[str]:
     if all(shape.sure for shape in shapes):
         return []
-    return ["the readings of the solid or its graph exclude the genus"]
+    return ["the readings or the graph exclude the genus"]
 
 
 def _near_threshold(decisions: Sequence[Decision]) -> list[str]:

@@ -100,7 +100,7 @@ def solid_with(
     closing = Closing(x, spacing, largest=max(SOLID_RADII))
     found: list[tuple[int, int, Solid]] = []
     for order, radius in enumerate(SOLID_RADII):
-        (solid,) = closing.opened([closing.solid(radius)], walls)
+        solid = closing.opened(closing.solid(radius), walls)
         more = solid_genus(solid.inside) - genus
         if more == 0:
             return solid

@@ -4,7 +4,6 @@ A solid is the morphological closing of the particles: inflated, then deflated t
 around the outer particles. Walls along unmerged contacts are taken out again.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,23 +69,19 @@ class Closing:
         inflated = self.distance < radius * self.spacing
         return Solid(inside=_eroded(inflated, _erosion(radius)), origin=self.origin, size=self.size)
 
-    def opened(self, solids: Sequence[Solid], walls: Int64[np.ndarray, "walls 2"]) -> list[Solid]:
-        """The solids without the voxels half-way between the ends of unmerged pairs."""
+    def opened(self, solid: Solid, walls: Int64[np.ndarray, "walls 2"]) -> Solid:
+        """The solid without the voxels half-way between the ends of unmerged pairs."""
         if len(walls) == 0:
-            return list(solids)
+            return solid
         graph = adjacency(walls, len(self.positions))
         beside = np.diff(graph.indptr) > 0
-        some = np.logical_or.reduce([solid.inside for solid in solids])
-        voxels = np.argwhere(some & beside[self.particle])
+        voxels = np.argwhere(solid.inside & beside[self.particle])
         own = self.particle[tuple(voxels.T)]
         centres = self.origin + voxels * self.size
         blocked = _between(self.positions, centres, own, graph, WALL * self.size)
-        open_ones = []
-        for solid in solids:
-            inside = solid.inside.copy()
-            inside[tuple(voxels[blocked].T)] = False
-            open_ones.append(Solid(inside=inside, origin=solid.origin, size=solid.size))
-        return open_ones
+        inside = solid.inside.copy()
+        inside[tuple(voxels[blocked].T)] = False
+        return Solid(inside=inside, origin=solid.origin, size=solid.size)
 
 
 def _erosion(radius: float) -> float:

@@ -49,7 +49,7 @@ def test_wall_parts_two_blocks() -> None:
     walls = near[(near[:, 0] < len(block)) & (near[:, 1] >= len(block))]
     closing = Closing(x, SPACING, largest=2.0)
     whole = closing.solid(2.0)
-    (parted,) = closing.opened([whole], walls)
+    parted = closing.opened(whole, walls)
     lumps: list[Any] = [label(solid.inside, connectivity=3) for solid in (whole, parted)]
     assert [own.max() for own in lumps] == [1, 2]
     taken = closing.origin[0] + np.argwhere(whole.inside & ~parted.inside)[:, 0] * closing.size
