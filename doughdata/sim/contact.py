@@ -19,12 +19,14 @@ __all__ = [
     "finger_world",
     "sdf_distance",
     "sdf_holds",
+    "sdf_near",
     "sdf_sample",
 ]
 
 Vec4 = ti.types.vector(4, ti.f32)
 Int3 = ti.types.vector(3, ti.i32)
 FAR = 1e3  # [m], distance of a node that no finger can touch
+CELL = 0.7  # [cells], a finger this far from a node cuts none of the node's eight samples: 0.683
 
 
 @ti.dataclass
@@ -54,6 +56,7 @@ class Contact:
     sdf_origin: Vec3  # [m], finger frame
     sdf_spacing: ti.f32  # [m]
     sdf_shape: Int3
+    sdf_beyond: ti.f32  # [m], the finger lies at least this far within its distance grid
 
 
 @ti.func
@@ -90,6 +93,17 @@ def sdf_holds(local, margin, contact: ti.template()):
         if local[d] < contact.sdf_origin[d] + margin or local[d] > high - margin:
             inside = 0
     return inside
+
+
+@ti.func
+def sdf_near(local, margin, reach, contact: ti.template()):
+    """`sdf_holds`, and the sampled distance may be below `reach` [m]: false only where it is not.
+
+    A node of the grid is no nearer to the finger than to the finger's box, and the nodes around a
+    point are at most a spacing nearer to it than the point.
+    """
+    empty = contact.sdf_beyond - reach - contact.sdf_spacing
+    return sdf_holds(local, ti.max(margin, empty), contact)
 
 
 @ti.func
@@ -153,6 +167,20 @@ def coulomb(velocity, wall, normal, friction):
 
 
 @ti.func
+def finger_share(local, distance, sdf: ti.template(), grid: ti.template(), contact: ti.template()):
+    """Share of a node's cell that a finger takes: eight samples, each half a cell wide."""
+    share = 0.0
+    if distance < -CELL * grid.dx:
+        share = 1.0
+    elif distance < CELL * grid.dx:
+        for o in range(8):
+            corner = local + (Vec3(o // 4, (o // 2) % 2, o % 2) - 0.5) * (0.5 * grid.dx)
+            d = sdf_distance(corner, sdf, contact)
+            share = share + 0.125 * ti.max(0.0, ti.min(1.0, 0.5 - 2.0 * d / grid.dx))
+    return share
+
+
+@ti.func
 def find_fingers(
     low,
     high,
@@ -163,42 +191,49 @@ def find_fingers(
     grid: ti.template(),
     contact: ti.template(),
 ):
-    """Distance and normal of both fingers at the nodes, and the volume they leave free there."""
-    total = grid.shape[0] * grid.shape[1] * grid.shape[2]
-    for i, j, k in ti.ndrange((low[0], high[0]), (low[1], high[1]), (low[2], high[2])):
-        at = (i * grid.shape[1] + j) * grid.shape[2] + k
-        node = grid.origin + grid.dx * Vec3(i, j, k)
-        occupied = 0.0
-        for finger in range(2):
-            local = finger_local(node, finger, opening, contact)
-            found = Vec4(0.0, 0.0, 0.0, FAR)
-            if sdf_holds(local, 0.5 * grid.dx, contact):
-                distance, gradient = sdf_sample(local, sdf, contact)
-                n = finger_world(gradient, finger, contact)
-                found = Vec4(n[0], n[1], n[2], distance)
-                if distance < grid.dx:  # eight samples of the node's cell, each half a cell wide
-                    for o in range(8):
-                        corner = local + (Vec3(o // 4, (o // 2) % 2, o % 2) - 0.5) * (0.5 * grid.dx)
-                        d = sdf_distance(corner, sdf, contact)
-                        filled = ti.max(0.0, ti.min(1.0, 0.5 - 2.0 * d / grid.dx))
-                        occupied = occupied + 0.125 * filled
-            colliders[finger * total + at] = found
-        free[at] = ti.max(0.0, 1.0 - occupied)
+    """Distance and normal of both fingers at the nodes, and the volume they leave free there.
+
+    Loops are nested, because Taichi makes of `ti.ndrange` four divisions a node.
+    """
+    ny, nz = grid.shape[1], grid.shape[2]
+    total = grid.shape[0] * ny * nz
+    first, last = high, low  # box of the nodes that a finger takes volume from
+    for i in range(low[0], high[0]):
+        for j in range(low[1], high[1]):
+            for k in range(low[2], high[2]):
+                at = (i * ny + j) * nz + k
+                node = grid.origin + grid.dx * Vec3(i, j, k)
+                occupied = 0.0
+                for finger in range(2):
+                    local = finger_local(node, finger, opening, contact)
+                    found = Vec4(0.0, 0.0, 0.0, FAR)
+                    if sdf_near(local, 0.5 * grid.dx, grid.dx, contact):
+                        distance, gradient = sdf_sample(local, sdf, contact)
+                        n = finger_world(gradient, finger, contact)
+                        found = Vec4(n[0], n[1], n[2], distance)
+                        occupied = occupied + finger_share(local, distance, sdf, grid, contact)
+                    colliders[finger * total + at] = found
+                free[at] = ti.max(0.0, 1.0 - occupied)
+                free[total + at] = 1.0
+                if occupied > 0.0:
+                    first = ti.min(first, Int3(i, j, k))
+                    last = ti.max(last, Int3(i, j, k) + 1)
+    begin, end = ti.max(low, first - 1), ti.min(high, last + 1)
     for d in range(3):  # B-spline taps along one axis after the other, from one half to the other
         source, target = (d % 2) * total, (1 - d % 2) * total
-        stride = ti.select(
-            d == 0, grid.shape[1] * grid.shape[2], ti.select(d == 1, grid.shape[2], 1)
-        )
-        for i, j, k in ti.ndrange((low[0], high[0]), (low[1], high[1]), (low[2], high[2])):
-            at = source + (i * grid.shape[1] + j) * grid.shape[2] + k
-            index = ti.select(d == 0, i - low[0], ti.select(d == 1, j - low[1], k - low[2]))
-            size = ti.select(
-                d == 0, high[0] - low[0], ti.select(d == 1, high[1] - low[1], high[2] - low[2])
-            )
-            value = free[at]
-            if index > 0 and index < size - 1:
-                value = 0.75 * free[at] + 0.125 * (free[at - stride] + free[at + stride])
-            free[at - source + target] = value
+        stride = ti.select(d == 0, ny * nz, ti.select(d == 1, nz, 1))
+        for i in range(begin[0], end[0]):
+            for j in range(begin[1], end[1]):
+                for k in range(begin[2], end[2]):
+                    at = (i * ny + j) * nz + k
+                    index = ti.select(d == 0, i, ti.select(d == 1, j, k))
+                    start = ti.select(d == 0, low[0], ti.select(d == 1, low[1], low[2]))
+                    stop = ti.select(d == 0, high[0], ti.select(d == 1, high[1], high[2]))
+                    value = free[source + at]
+                    if index > start and index < stop - 1:
+                        beside = free[source + at - stride] + free[source + at + stride]
+                        value = 0.75 * value + 0.125 * beside
+                    free[target + at] = value
 
 
 @ti.func
@@ -227,7 +262,7 @@ def find_touch(
         walls = ti.select(grid.table >= 0 and place[2] <= contact.reach, 4, 0)
         for finger in range(contact.fingers):
             local = finger_local(place, finger, opening, contact)
-            if sdf_holds(local, 0.0, contact):
+            if sdf_near(local, 0.0, contact.reach, contact):
                 distance = sdf_distance(local, sdf, contact)
                 if distance <= contact.reach:
                     walls = walls | (1 << finger)

@@ -93,10 +93,13 @@ def find_near(low, high, free: ti.template(), boxes: ti.template(), grid: ti.tem
     """The box of all nodes whose volume a finger takes a part of."""
     total = grid.shape[0] * grid.shape[1] * grid.shape[2]
     first, last = high, low
-    for i, j, k in ti.ndrange((low[0], high[0]), (low[1], high[1]), (low[2], high[2])):
-        if free[total + (i * grid.shape[1] + j) * grid.shape[2] + k] != 1.0:
-            first = ti.min(first, Int3(i, j, k))
-            last = ti.max(last, Int3(i, j, k) + 1)
+    for i in range(low[0], high[0]):
+        for j in range(low[1], high[1]):
+            row = total + (i * grid.shape[1] + j) * grid.shape[2]
+            for k in range(low[2], high[2]):
+                if free[row + k] != 1.0:
+                    first = ti.min(first, Int3(i, j, k))
+                    last = ti.max(last, Int3(i, j, k) + 1)
     for d in ti.static(range(3)):
         boxes[NEAR + d] = first[d]
         boxes[NEAR + 3 + d] = last[d]
@@ -113,8 +116,10 @@ def find_handles(
 ):
     """Share of handle 1, handle 2 and all particles at the nodes, in units of a particle."""
     ny, nz = grid.shape[1], grid.shape[2]
-    for i, j, k in ti.ndrange((low[0], high[0]), (low[1], high[1]), (low[2], high[2])):
-        colliders[(i * ny + j) * nz + k] = Vec4(0.0)
+    for i in range(low[0], high[0]):
+        for j in range(low[1], high[1]):
+            for at in range((i * ny + j) * nz + low[2], (i * ny + j) * nz + high[2]):
+                colliders[at] = Vec4(0.0)
     for i in range(x.shape[0]):
         base, _, w0, w1, w2 = weights(position_of(x[i]), grid)
         kind = Vec4(handles[i] == 1, handles[i] == 2, 1.0, 0.0)

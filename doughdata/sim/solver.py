@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Float64, Int8, Int32, Int64
 
-from doughdata.scenes.sdf import SignedDistanceGrid
+from doughdata.scenes.sdf import MARGIN, SignedDistanceGrid
 from doughdata.sim import contact, kernels
 from doughdata.sim._taichi import Bound, start
 from doughdata.sim.stress import Vec3
@@ -277,7 +277,7 @@ def contact_of(physics: Physics, squeeze: Squeeze | None) -> Any:
         return contact.Contact(
             fingers=0, gap=zero, axis=Vec3(1.0, 0.0, 0.0), opening=0.0, rate=0.0,
             friction=0.0, table_friction=table, reach=reach, band=0.0, sdf_origin=zero,
-            sdf_spacing=1.0, sdf_shape=contact.Int3(2, 2, 2),
+            sdf_spacing=1.0, sdf_shape=contact.Int3(2, 2, 2), sdf_beyond=0.0,
         )  # fmt: skip
     return contact.Contact(
         fingers=2,
@@ -292,6 +292,7 @@ def contact_of(physics: Physics, squeeze: Squeeze | None) -> Any:
         sdf_origin=Vec3(*squeeze.sdf.origin),
         sdf_spacing=squeeze.sdf.spacing,
         sdf_shape=contact.Int3(*squeeze.sdf.values.shape),
+        sdf_beyond=MARGIN,
     )
 
 

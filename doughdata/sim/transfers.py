@@ -19,7 +19,7 @@ from doughdata.sim.contact import (
     finger_local,
     finger_side,
     finger_world,
-    sdf_holds,
+    sdf_near,
     sdf_sample,
 )
 from doughdata.sim.stress import Sym, Vec3, hencky_return
@@ -285,7 +285,7 @@ def grid_to_particle(
         if contact.fingers:
             for finger in range(2):
                 local = finger_local(moved, finger, opening, contact)
-                if sdf_holds(local, contact.sdf_spacing, contact):
+                if sdf_near(local, contact.sdf_spacing, 0.0, contact):
                     d, gradient = sdf_sample(local, sdf, contact)
                     if d < 0.0:
                         normal = finger_world(gradient, finger, contact)
