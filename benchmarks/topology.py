@@ -16,14 +16,16 @@ import argparse
 import json
 import time
 from collections import Counter
+from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass, fields, replace
 from importlib.util import find_spec
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from topology_judges import mesh_genus, persistence_agrees
-from topology_truth import SEEDS, truth_table
+from topology_truth import SEEDS, Case, truth_table
 
 from doughdata.scene_work import simulate_scene
 from doughdata.scenes import load_family
@@ -102,30 +104,40 @@ def judged(done: Checked, rng: np.random.Generator, *, persistence: bool) -> dic
     }
 
 
-def over_families(count: int, log: Path | None) -> list[dict[str, Any]]:
-    """Play, check and judge sampled scenes; each result is also appended to `log` at once."""
-    families = [load_family(name) for name in FAMILIES]
-    rng = np.random.default_rng(SEED)
-    persistence = find_spec("gudhi") is not None
+def sampled(number: int) -> Scene:
+    """Scene `number` of those that are judged: the families take turns."""
+    family = load_family(FAMILIES[number % len(FAMILIES)])
+    return family.sample(seed=SEED, number=number // len(FAMILIES), split="train")
+
+
+def judged_scene(number: int) -> dict[str, Any]:
+    """Play, check and judge one sampled scene."""
+    rng = np.random.default_rng([SEED, number])
+    return judged(play(sampled(number)), rng, persistence=find_spec("gudhi") is not None)
+
+
+def over_families(count: int, log: Path | None, pool: Executor) -> list[dict[str, Any]]:
+    """The rows of sampled scenes, in order; each is also appended to `log` as it comes."""
     rows = []
-    for number in range(count):
-        family = families[number % len(families)]
-        scene = family.sample(seed=SEED, number=number // len(families), split="train")
-        rows.append(judged(play(scene), rng, persistence=persistence))
+    for row in pool.map(judged_scene, range(count)):
+        rows.append(row)
         if log is not None:
             with log.open("a") as file:
-                file.write(json.dumps(rows[-1]) + "\n")
+                file.write(json.dumps(row) + "\n")
     return rows
 
 
-def over_truth(seeds: tuple[int, ...]) -> dict[str, Any]:
+def right_case(case: Case) -> bool:
+    """Play one case of the truth table."""
+    return case.right(play(case.scene).topology)
+
+
+def over_truth(seeds: tuple[int, ...], pool: Executor) -> dict[str, Any]:
     """Shares of right outcomes of the truth table."""
-    right: dict[str, bool] = {}
-    held_out = []
-    for name, case in truth_table(seeds):
-        right[name] = case.right(play(case.scene).topology)
-        if case.half == "holdout":
-            held_out.append(right[name])
+    names, cases = zip(*truth_table(seeds), strict=True)
+    right = dict(zip(names, pool.map(right_case, cases), strict=True))
+    halves = dict(zip(names, (case.half for case in cases), strict=True))
+    held_out = [right[name] for name in names if halves[name] == "holdout"]
     return {
         "truth_table": sum(right.values()) / len(right),
         "truth_table_holdout": sum(held_out) / len(held_out),
@@ -157,8 +169,7 @@ def shares(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def threshold_sensitivity(count: int) -> dict[str, float]:
     """Share of scenes whose final components or genera change, by threshold moved by 20 %."""
-    families = [load_family(name) for name in FAMILIES]
-    scenes = [families[k % 2].sample(seed=SEED, number=k // 2, split="train") for k in range(count)]
+    scenes = [sampled(number) for number in range(count)]
     played = [(scene, simulate_scene(MpmSimulator(), scene)) for scene in scenes]
 
     def ends(config: DynamicConfig) -> list[list[int]]:
@@ -185,14 +196,16 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="one line of JSON")
     parser.add_argument("--scenes", type=int, default=20, help="sampled scenes, over both families")
     parser.add_argument("--full", action="store_true", help="move every threshold: hours")
+    parser.add_argument("--workers", type=int, default=1, help="scenes played at a time")
     parser.add_argument("--log", type=Path, help="append the result of every scene to this file")
     options = parser.parse_args()
     thorough = options.full or options.scenes >= 100
     doughnut = default_doughnut()
     play(doughnut)  # once before, so that no compilation is counted
     result = {"check_cpu_s": round(play(doughnut).check_s, 2)}
-    result |= over_truth(SEEDS if thorough else SEEDS[:1])
-    result |= shares(over_families(options.scenes, options.log))
+    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+        result |= over_truth(SEEDS if thorough else SEEDS[:1], pool)
+        result |= shares(over_families(options.scenes, options.log, pool))
     if options.full:
         result["threshold_sensitivity"] = threshold_sensitivity(options.scenes)
     print(json.dumps(result) if options.json else json.dumps(result, indent=2))

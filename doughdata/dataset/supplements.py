@@ -28,7 +28,7 @@ __all__ = [
     "with_contacts",
 ]
 
-SUPPLEMENTS = "meta/supplements"
+SUPPLEMENTS = "meta/supplements/1.1"  # by the version that added the columns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

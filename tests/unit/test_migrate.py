@@ -154,8 +154,8 @@ def test_what_an_older_release_adds_is_brought_forward(old):
     """A commit without the columns in a 1.1 dataset reads as null until `migrate` runs again."""
     migrate(old)
     frames = open_dataset(old).frames
-    (old / "meta/supplements/sim/00000.0.json").unlink(missing_ok=True)
-    (old / "meta/supplements/sim/00000.1.json").unlink(missing_ok=True)
+    (old / "meta/supplements/1.1/sim/00000.0.json").unlink(missing_ok=True)
+    (old / "meta/supplements/1.1/sim/00000.1.json").unlink(missing_ok=True)
     refresh_tables(LocalStore(old))
     assert open_dataset(old).frames["table_contacts"].null_count > 0
     assert validate(old, deep=True).problems == ()
@@ -182,7 +182,7 @@ def test_tables_that_an_older_release_rebuilt_are_rebuilt(old):
 def test_a_wrong_tool_contact_is_found(cubes):
     """A flag that contradicts the stored counts is told by deep validation."""
     migrate(cubes)
-    (path,) = cubes.glob("meta/supplements/sim/*.json")
+    (path,) = cubes.glob("meta/supplements/1.1/sim/*.json")
     document = json.loads(path.read_text())
     flags = document["columns"]["tool_contact"]
     columns = {**document["columns"], "tool_contact": [not flag for flag in flags]}
@@ -251,14 +251,14 @@ def test_newer_versions(tmp_path):
 def test_validate_watches_supplements(cubes):
     """A changed, missing, misplaced or wrong supplement is named."""
     migrate(cubes)
-    path = cubes / "meta/supplements/topology/00000.0.json"
+    path = cubes / "meta/supplements/1.1/topology/00000.0.json"
     good = path.read_bytes()
 
     def problems():
         return [str(problem) for problem in validate(cubes, deep=True).problems]
 
     path.write_bytes(good.replace(b"false", b"true ", 1))
-    assert any(p.startswith("meta/supplements/topology/00000.0.json") for p in problems())
+    assert any(p.startswith("meta/supplements/1.1/topology/00000.0.json") for p in problems())
     path.unlink()
     assert any(p.startswith("meta/frames.parquet") for p in problems())
     document = json.loads(good)
