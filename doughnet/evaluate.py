@@ -37,6 +37,12 @@ class Truth:
     genus: tuple[int, ...]
     tools: Any  # `FrameTools`
 
+    @classmethod
+    def of(cls, labels: Int[np.ndarray, "nx ny nz"], genus: Sequence[int], tools: Any) -> "Truth":
+        """From labels on the lattice as numpy has them."""
+        labels = np.ascontiguousarray(labels, np.int64)
+        return cls(labels=torch.from_numpy(labels), genus=tuple(genus), tools=tools)
+
     @property
     def topology(self) -> tuple[int, ...]:
         """The frame's class for balanced accuracy: its components' genera, sorted."""
@@ -108,14 +114,17 @@ def summary(scored: Sequence[_Scored]) -> dict[str, float]:
 
 
 def score_frame(
-    labels: Int[Tensor, "nx ny nz"], genus: Sequence[int], truth: Truth, lattice: Lattice
+    labels: Int[Tensor, "nx ny nz"] | Int[np.ndarray, "nx ny nz"],
+    genus: Sequence[int],
+    truth: Truth,
+    lattice: Lattice,
 ) -> TopologyScore:
     """Metrics of one frame over the nodes above the table and outside the tool.
 
     Nodes that are empty in both change no metric and are left out. `labels` below zero are dough
     of no component, those past `genus` are empty.
     """
-    predicted, true = labels.flatten(), truth.labels.flatten()
+    predicted, true = torch.as_tensor(labels).flatten(), truth.labels.flatten()
     dough = ((predicted < len(genus)) | (true < len(truth.genus))).nonzero()[:, 0]
     points = lattice.points(dough).double().numpy()
     dough = dough[torch.from_numpy(~inside_tools(truth.tools, points))]
@@ -131,11 +140,7 @@ def _truth(dataset: DoughSequences, sample: dict[str, Tensor], k: int, lattice: 
     scene, frame_index = int(sample["scene_index"][k]), int(sample["frame_index"][k])
     frame = dataset.source.frame(scene=scene, frame=frame_index)
     labels = on_lattice(frame.label_grid, lattice)
-    return Truth(
-        labels=torch.from_numpy(labels.astype(np.int64)),
-        genus=tuple(frame.topology.genus),
-        tools=frame.tools,
-    )
+    return Truth.of(labels, frame.topology.genus, frame.tools)
 
 
 def _score_scene(

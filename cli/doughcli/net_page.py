@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
+from doughcli.net_surfaces import closed_surface
 from doughdata.registry import require_package
 from doughdata.view.html import page_text
 from doughdata.view.scene_data import SceneData, tool_shape
@@ -32,11 +33,10 @@ __all__ = ["save_prediction"]
 
 LANE = 0.17  # [m] from one lane to the next
 LANES = ("observation", "prediction", "truth")
-STRIDE = 2  # lattice nodes from one to the next of the meshes that are shown
-SMOOTHING = 0.8  # of the labels before they become a mesh, in such nodes
 SHOWN_POINTS = 512  # a frame and lane
 MARKER = 0.8e-3  # [m], from the middle of a seen point's marker to its corners
 CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
+Surface = tuple[Float32[np.ndarray, "vertices 3"], Int64[np.ndarray, "faces 3"]]
 SIDES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
@@ -165,11 +165,11 @@ def _meshes(frame: Any, lattice: Any) -> tuple[ComponentMesh, ...]:
     predicted = labels.numpy()
     parts = [(predicted == k) for k in range(len(genus))]
     places: dict[int, int] = {}
-    shown = [(k, _surface(part, lattice, 0.0)) for k, part in enumerate(parts)]
+    shown = [(k, closed_surface(part, lattice)) for k, part in enumerate(parts)]
     if frame.true_labels is not None:
         true = frame.true_labels.numpy()
         places = {k: place for place, k in _matched(parts, true, len(frame.true_genus))}
-        shown += [(places[k], _surface(true == k, lattice, LANE)) for k in places]
+        shown += [(places[k], _moved(closed_surface(true == k, lattice), LANE)) for k in places]
     for k in range(frame.point_labels.max() + 1):
         seen = frame.points[frame.point_labels == k]
         shown.append((places.get(k, k), _markers(seen - [LANE, 0.0, 0.0])))
@@ -177,6 +177,10 @@ def _meshes(frame: Any, lattice: Any) -> tuple[ComponentMesh, ...]:
     return tuple(
         _joined(surface for place, surface in shown if place == k) for k in range(most + 1)
     )
+
+
+def _moved(surface: Surface, along: float) -> Surface:
+    return surface[0] + np.array([along, 0.0, 0.0], np.float32), surface[1]
 
 
 def _markers(
@@ -198,21 +202,6 @@ def _matched(parts: list[np.ndarray], true: np.ndarray, count: int) -> Iterator[
     free = iter(range(len(parts), len(parts) + count))
     for k in range(count):
         yield (pairs[k] if k in pairs else next(free)), k
-
-
-def _surface(
-    mask: np.ndarray, lattice: Any, shift: float
-) -> tuple[Float32[np.ndarray, "vertices 3"], Int64[np.ndarray, "faces 3"]]:
-    """Surface of a part of the lattice [m], moved by `shift` along x; empty if there is none."""
-    ndimage = require_package("scipy.ndimage", extra="train")
-    measure = require_package("skimage.measure", extra="sim")
-    field = np.pad(mask[::STRIDE, ::STRIDE, ::STRIDE].astype(np.float32), 2)
-    field = ndimage.gaussian_filter(field, SMOOTHING)
-    if field.max() <= 0.5:
-        return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int64)
-    vertices, faces, _, _ = measure.marching_cubes(field, 0.5)
-    vertices = (vertices - 2) * STRIDE * lattice.spacing + lattice.origin + [shift, 0.0, 0.0]
-    return vertices.astype(np.float32), faces[:, ::-1].astype(np.int64)
 
 
 def _joined(parts: Iterator[tuple[np.ndarray, np.ndarray]]) -> ComponentMesh:

@@ -93,6 +93,7 @@ class DynamicCheck:
             [state.contacts for state in states],
             loops=[state.loops for state in states],
             changed=[state.changed for state in states],
+            crossed=[state.crossed for state in states],
             spacing=particles.spacing,
             window=LoopWindow(
                 birth=self.config.loop_birth,

@@ -28,6 +28,7 @@ __all__ = ["Shape", "read_shapes", "scene_graph"]
 STILL = 0.1  # [spacings]; a component that moved less than this keeps its shape
 RETHIN = 2.0  # [spacings]; a component that moved more than this gets a new skeleton
 FLICKER = 4  # key frames; a shorter change is smoothed
+CROSSING = 12  # key frames between two readings that agree while fingers only cross particles
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +56,7 @@ class _Track:
         *,
         loops: Sequence[int],
         changed: Sequence[bool],
+        crossed: Sequence[bool],
         spacing: float,
         window: LoopWindow,
     ) -> None:
@@ -62,7 +64,7 @@ class _Track:
         self.last = first + len(members) - 1
         self.positions, self.spacing, self.window = positions, spacing, window
         self.bonds, self.contacts = bonds, contacts
-        self.loops, self.changed = loops, changed
+        self.loops, self.changed, self.crossed = loops, changed, crossed
         self.readings: dict[int, Reading] = {}
 
     def shapes(self) -> list[Shape]:
@@ -79,9 +81,15 @@ class _Track:
     def _settled(self, low: int, high: int) -> bool:
         """Whether no test changed anything between two key frames, or nothing moved.
 
-        What touches without being merged changes nothing.
+        What touches without being merged changes nothing. A finger may go through a tube, which
+        then stays open: that is looked for, but not in every gap that would find a merge.
         """
-        return self._moved(low, high) < STILL or not any(self.changed[low + 1 : high + 1])
+        if self._moved(low, high) < STILL:
+            return True
+        since = slice(low + 1, high + 1)
+        if any(self.changed[since]):
+            return False
+        return high - low <= CROSSING or not any(self.crossed[since])
 
     def _at(self, frame: int, members: Int64[np.ndarray, " _"]) -> Float64[np.ndarray, "_ 3"]:
         return np.asarray(self.positions[frame][members], dtype=np.float64)
@@ -196,6 +204,7 @@ def read_shapes(
     *,
     loops: Sequence[int],
     changed: Sequence[bool],
+    crossed: Sequence[bool],
     spacing: float,
     window: LoopWindow,
 ) -> list[list[Shape]]:
@@ -203,7 +212,8 @@ def read_shapes(
 
     Components stay open along `contacts` (unmerged near pairs) unless their sides join nearby by
     `bonds` (short ones). `loops` counts the merges within one piece in each key frame, `changed`
-    tells those in which anything was merged or cut.
+    tells those in which a test merged or cut something, `crossed` those in which a finger came
+    between particles.
     """
     found: list[list[Shape]] = [[] for _ in labels]
     for label, first, members in runs_of(labels):
@@ -216,6 +226,7 @@ def read_shapes(
             contacts,
             loops=loops,
             changed=changed,
+            crossed=crossed,
             spacing=spacing,
             window=window,
         )

@@ -38,7 +38,12 @@ class FrameState:
     bonds: Int64[np.ndarray, " bonds"]  # keys of the short ones
     touching: Int32[np.ndarray, " particles"]  # pieces of the static check: near is one
     loops: int = 0  # merges within one piece: only these make handles
-    changed: bool = False  # something was merged, cut or crossed by a finger
+    crossed: bool = False  # a finger has come between particles
+
+    @property
+    def changed(self) -> bool:
+        """Whether a test merged or cut something."""
+        return any(decision.passed for decision in self.decisions)
 
 
 @dataclass(slots=True)
@@ -93,7 +98,7 @@ class History:
         self.answers.made, self.loops = [], 0
         x = np.asarray(self.particles.positions[frame], dtype=np.float64)
         if self.last is not None and not started and self._still(x):
-            return replace(self.last, decisions=(), loops=0, changed=False)
+            return replace(self.last, decisions=(), loops=0, crossed=False)
         if frame > 0:
             self.graph.advance(x)
         if started:
@@ -286,7 +291,7 @@ class History:
             bonds=graph.bonded_keys(SIDE_BOND),
             touching=graph.touching(self.config.static.radius),
             loops=self.loops,
-            changed=crossed or any(decision.passed for decision in self.answers.made),
+            crossed=crossed,
         )
 
 

@@ -8,9 +8,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
 
 from doughcli.net import app
+from doughdata import open_dataset
+from doughdata.scenes import read_scenes
 from doughnet import runs
 from doughnet.config import PRESETS
 from doughschemas import BadInputError
@@ -81,6 +85,76 @@ def test_predict_saves_a_page(trained: Path, scenes: str, tmp_path: Path) -> Non
     page = (tmp_path / "scene.html").read_text(encoding="utf-8")
     assert "observation, prediction, truth" in page
     assert "default-src 'none'" in page
+
+
+@pytest.fixture(scope="module")
+def goals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """A ring as a mesh, and two halves of a ball as a cloud of two colours."""
+    folder = tmp_path_factory.mktemp("goals")
+    ring = trimesh.creation.torus(0.025, 0.008)
+    ring.apply_translation([0, 0, 0.008]).export(folder / "ring.stl")
+    ball = trimesh.creation.icosphere(radius=0.02).vertices + np.array([0, 0, 0.02])
+    colours = np.where(ball[:, :1] > 0, [[255, 0, 0, 255]], [[0, 0, 255, 255]]).astype(np.uint8)
+    trimesh.PointCloud(ball, colors=colours).export(folder / "halves.ply")
+    photo = np.arange(4 * len(ball)).reshape(-1, 4).astype(np.uint8)
+    trimesh.PointCloud(ball, colors=photo).export(folder / "photo.ply")
+    return {path.name: str(path) for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("goal", ["1:2", "ring.stl", "halves.ply"])
+def test_plan_finds_a_squeeze(
+    trained: Path, scenes: str, goals: dict[str, str], tmp_path: Path, goal: str
+) -> None:
+    """A key frame, a mesh and a coloured cloud are goals; the plan is a scene that can be played
+    and a page that shows every round.
+    """
+    where = ("--dataset", scenes, "--sensor", "none", "--weights", trained, "--start", "1:0")
+    small = ("--rounds", 2, "--samples", 6, "--elites", 2, "--tools", "scene,wide")
+    done = doughnet("plan", *where, *small, "--goal", goals.get(goal, goal), "--save", "plan",
+                    "--json", cwd=tmp_path)  # fmt: skip
+    found = json.loads(done.stdout)
+    assert -1 <= found["score"] <= 1
+    (scene,) = read_scenes(tmp_path / "plan/scene.json")
+    assert scene.actions[0].position == tuple(found["squeeze"]["position"])
+    assert scene.tools[0].name == found["squeeze"]["tool"]
+    assert scene.bodies == open_dataset(scenes).scene(1).bodies
+    plan = json.loads((tmp_path / "plan/plan.json").read_text())
+    assert [len(r["squeezes"]) for r in plan["rounds"]] == [2, 2]
+    page = (tmp_path / "plan/plan.html").read_text(encoding="utf-8")
+    assert page.count("<figure>") == 4
+
+
+@pytest.mark.slow
+def test_a_plan_is_carried_out(trained: Path, scenes: str, tmp_path: Path) -> None:
+    """`--verify` simulates the plan and compares its end with the goal."""
+    where = ("--dataset", scenes, "--sensor", "none", "--weights", trained, "--start", "1:0")
+    small = ("--rounds", 1, "--samples", 4, "--elites", 1, "--goal", "1:2", "--verify", "--json")
+    found = json.loads(doughnet("plan", *where, *small, cwd=tmp_path).stdout)["verified"]
+    assert found["goal_genus"] == [0]
+    assert 0 <= found["viou"] <= 100
+    assert found["topology_reached"] == (found["genus"] == [0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--goal", "nothing.obj"), "expected SCENE:FRAME"),
+        (("--goal", "photo.ply"), "doughdata convert"),
+        (("--goal", "1:2", "--start", "1:2"), "no key frame is left"),
+        (("--goal", "1:2", "--tools", "spoon"), "spoon"),
+        (("--goal", "1:2", "--elites", 9, "--samples", 3), "elites"),
+    ],
+)
+def test_plan_refuses_in_one_line(
+    trained: Path, scenes: str, goals: dict[str, str], tmp_path: Path, arguments, message
+) -> None:
+    """What was expected, what came."""
+    given = [goals.get(str(word), word) for word in arguments]
+    start = () if "--start" in given else ("--start", "1:0")
+    done = doughnet("plan", "--dataset", scenes, "--sensor", "none", "--weights", trained, *start,
+                    *given, cwd=tmp_path, code=2)  # fmt: skip
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
 
 
 def test_a_run_reports_itself(trained: Path, scenes: str) -> None:
