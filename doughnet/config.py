@@ -44,6 +44,7 @@ class ModelConfig:
     gate: str = "gelu"  # activation of the gated feed-forward: gelu | silu
     expansion: float = 4.0  # hidden width of the feed-forward, in widths
     query_key_norm: bool = False  # RMS norm of queries and keys in each head
+    relative: bool = False  # dynamics predict the change of the latents (an ablation)
     scale: float = 0.1  # [m] that becomes 1 before the Fourier features
 
     def __post_init__(self) -> None:

@@ -11,6 +11,7 @@ from torch.utils.data import DataLoader
 
 from doughdata.dataset import Dataset
 from doughdata.torch import DoughDataset, DoughSequences, EndlessSampler
+from doughdata.torch.views import COMPLETE
 from doughnet.config import ModelConfig
 from doughnet.stages import Batch
 
@@ -30,6 +31,9 @@ class LoaderConfig:
 
 def key_frames(source: Dataset, sensor: str) -> tuple[int, ...]:
     """The paper's key frames if all of them were rendered, else every one that was."""
+    if sensor == COMPLETE:
+        there = set(range(source.num_frames))
+        return KEY_FRAMES if there.issuperset(KEY_FRAMES) else tuple(sorted(there))
     views = source.table("views")
     layer = f"depth.{sensor}"
     pairs = zip(views["layer"].to_pylist(), views["frame_index"].to_pylist(), strict=True)

@@ -33,7 +33,8 @@ class _Stack(nn.Module):
 class Dynamics(nn.Module):
     """Predicts the next set of latent codes outright, not its difference from the last one.
 
-    Before it has learned anything it copies its input.
+    With `relative` it predicts the difference, to compare. Before it has learned anything it copies
+    its input.
     """
 
     def __init__(self, config: ModelConfig) -> None:
@@ -41,6 +42,10 @@ class Dynamics(nn.Module):
         self.manipulator = Encoder(config, depth=config.manipulator_depth)
         self.stacks = nn.ModuleList(_Stack(config) for _ in range(config.dynamics_stacks))
         self.norm = norm(config.width, config, affine=False)
+        self.change = nn.Linear(config.width, config.width) if config.relative else None
+        if self.change is not None:
+            nn.init.zeros_(self.change.weight)
+            nn.init.zeros_(self.change.bias)
 
     def embed_tool(self, tool_points: Float[Tensor, "B P 3"]) -> Float[Tensor, "B T D"]:
         """Latent codes of points [m] on the tool's surface at one instant; their label is 0."""
@@ -54,7 +59,9 @@ class Dynamics(nn.Module):
         next_tool: Float[Tensor, "B T D"],
     ) -> Float[Tensor, "B T D"]:
         """Latents one step on, given those of the tool now and then (from `embed_tool`)."""
-        action = torch.cat([tool, next_tool], dim=-1)
+        action, before = torch.cat([tool, next_tool], dim=-1), z_BTD
         for stack in self.stacks:
             z_BTD = stack(z_BTD, action)
+        if self.change is not None:
+            z_BTD = before + self.change(self.norm(z_BTD))
         return self.norm(z_BTD)

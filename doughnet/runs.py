@@ -5,16 +5,18 @@ training.pt (to resume), metrics.csv and tensorboard/.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from doughdata.torch import DoughDataset, DoughSequences
+from doughdata.torch.views import COMPLETE
 from doughnet.config import preset
 from doughnet.data import EndlessBatches, LoaderConfig, class_weights, key_frames
 from doughnet.model import DoughNet
+from doughnet.recipes import recipe
 from doughnet.stages import AutoencoderStage, DynamicsStage, Stage
 from doughnet.train import STATE, Budget, Fitted, Listener, TrainConfig, fit
 from doughnet.weights import TENSORS, load_weights
@@ -25,7 +27,6 @@ __all__ = ["STAGES", "RunConfig", "find_weights", "train_stage"]
 STAGES = ("autoencoder", "dynamics")
 PRETRAINED = Path(__file__).parent / "pretrained"  # one folder a preset; a wheel carries it
 SHIPPED = ("small", "tiny", "micro")  # the first that is there is the default
-STEPS = 3  # key frames of a dynamics sample: two predictions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,6 +36,7 @@ class RunConfig:
     dataset: str
     out: Path
     preset: str = "small"
+    recipe: str = "full"
     sensor: str = "realsense"
     split: str = "train"
     minutes: float | None = None
@@ -64,21 +66,23 @@ def train_stage(
         raise BadInputError(f"{out} holds a training: --resume goes on, or give another --out")
     torch.manual_seed(config.train.seed)
     model, before = _model(name, config)
+    how = recipe(config.recipe)
+    sensor = COMPLETE if how.complete else config.sensor
     common: dict[str, Any] = {
-        "sensor": config.sensor,
+        "sensor": sensor,
         "split": config.split,
         "seed": config.loader.seed,
     }
     views = DoughDataset(config.dataset, **common)
-    frames = key_frames(views.source, config.sensor)
+    frames = key_frames(views.source, sensor)
     weights = class_weights(views.source, model.config, split=config.split, frames=frames)
     stage: Stage
     if name == "autoencoder":
         data = DoughDataset(config.dataset, **common)  # every view that was rendered
         stage = AutoencoderStage(model, class_weights=weights)
     else:
-        data = _sequences(config.dataset, frames, common)
-        stage = DynamicsStage(model, class_weights=weights)
+        data = _sequences(config.dataset, frames, common, length=1 + how.steps)
+        stage = DynamicsStage(model, class_weights=weights, explicit=how.explicit)
     batches = EndlessBatches(
         data, config.loader, rank=fabric.global_rank, world_size=fabric.world_size
     )
@@ -119,9 +123,13 @@ def find_weights(folder: str | Path | None = None) -> Path:
 
 
 def _model(name: str, config: RunConfig) -> tuple[DoughNet, dict[str, Any]]:
-    """A new model, or for the dynamics the one whose autoencoder was trained."""
+    """A new model, or for the dynamics the one whose autoencoder was trained.
+
+    A recipe with other dynamics finds an autoencoder that was trained for all of them.
+    """
+    relative = recipe(config.recipe).relative
     if name == "autoencoder":
-        return DoughNet(preset(config.preset)), {}
+        return DoughNet(replace(preset(config.preset), relative=relative)), {}
     folder = config.out / "autoencoder"
     if not folder.is_dir():
         raise BadInputError(
@@ -129,22 +137,26 @@ def _model(name: str, config: RunConfig) -> tuple[DoughNet, dict[str, Any]]:
             f"`doughnet train autoencoder --out {config.out}`"
         )
     weights = load_weights(folder)
-    return weights.model, {"autoencoder": dict(weights.provenance)}
+    model = DoughNet(replace(weights.model.config, relative=relative))
+    model.autoencoder.load_state_dict(weights.model.autoencoder.state_dict())
+    return model, {"autoencoder": dict(weights.provenance)}
 
 
-def _sequences(uri: str, frames: tuple[int, ...], common: Mapping[str, Any]) -> DoughSequences:
-    """Triples as far apart as the model's key frames, from every rendered key frame on."""
+def _sequences(
+    uri: str, frames: tuple[int, ...], common: Mapping[str, Any], *, length: int
+) -> DoughSequences:
+    """Windows as far apart as the model's key frames, from every rendered key frame on."""
     step = frames[1] - frames[0] if len(frames) > 1 else 1
-    if len(frames) < STEPS:
+    if len(frames) < length:
         raise BadInputError(
-            f"{uri}: dynamics need {STEPS} key frames of a scene, {len(frames)} were rendered; "
+            f"{uri}: dynamics need {length} key frames of a scene, {len(frames)} were rendered; "
             "render more with `doughdata render --all-frames`"
         )
     source = DoughDataset(uri, **common)
     every = source.rendered_frames
     dense = every == tuple(range(every[0], every[-1] + 1))
     chosen = {"frames": every, "stride": step} if dense else {"frames": frames}
-    return DoughSequences(uri, length=STEPS, **chosen, **common)
+    return DoughSequences(uri, length=length, **chosen, **common)
 
 
 def _budget(config: RunConfig, samples: int) -> Budget:
@@ -164,9 +176,10 @@ def _provenance(
     return {
         "preset": config.preset if name == "autoencoder" else before["autoencoder"]["preset"],
         "stage": name,
+        "recipe": config.recipe,
         "data": {
             "fingerprint": data.source.fingerprint,
-            "sensor": config.sensor,
+            "sensor": data.sensor,
             "split": config.split,
             "frames": list(frames),
             "samples": len(data),

@@ -98,6 +98,9 @@ class AutoencoderStage(nn.Module):
 class DynamicsStage(nn.Module):
     """Predict latents two steps on, the second from the model's own first prediction.
 
+    What is compared are the latents; with `explicit` the shapes that the frozen decoder makes of
+    them, to compare.
+
     The autoencoder is frozen but for the last layers of the genus head, which learn from encoded
     and predicted latents alike. They come after the masks, so these stay what they were.
     """
@@ -112,9 +115,11 @@ class DynamicsStage(nn.Module):
         genus_weight: float = 0.1,
         class_weights: Float[Tensor, " classes"] | None = None,
         augmentation: Augmentation | None = None,
+        explicit: bool = False,
     ) -> None:
         super().__init__()
         self.model, self.genus_weight = model, genus_weight
+        self.explicit = explicit
         self.augmentation = augmentation or Augmentation(label_dropout=0.0)
         self.register_buffer("class_weights", class_weights, persistent=False)
         model.autoencoder.requires_grad_(False)
@@ -131,11 +136,30 @@ class DynamicsStage(nn.Module):
                 batch["points"].flatten(0, 1), batch["point_labels"].flatten(0, 1)
             ).unflatten(0, frames)
         predicted = self.model.rollout(true[:, 0], batch["tool_points"])
+        if self.explicit:
+            return self._explicit(batch, predicted)
         # A frame in which the tool hides all dough tells nothing.
         seen = (batch["point_labels"] >= 0).any(dim=2)
         latent = latent_loss(predicted, true[:, 1:], seen=seen[:, 1:] & seen[:, :1])
         genus = self._genus(batch, torch.cat([true[:, 1:], predicted], dim=0))
         return {"loss": latent + self.genus_weight * genus, "latent": latent, "genus": genus}
+
+    def _explicit(self, batch: Batch, latents: Float[Tensor, "B steps T D"]) -> Losses:
+        """Losses of the shapes that are decoded from predicted latents."""
+        config = self.model.config
+        labels = query_classes(
+            batch["query_labels"], batch["num_components"], components=config.components
+        )[:, 1:]
+        folded = fold(self.model.autoencoder.decoder, latents.flatten(0, 1))
+        loss = shape_loss(
+            folded(batch["queries"][:, 1:].flatten(0, 1)),
+            labels.flatten(0, 1),
+            folded.genus,
+            genus_classes(batch["genus"], config)[:, 1:].flatten(0, 1),
+            genus_weights=self.class_weights,
+        )
+        total = loss.masks + self.genus_weight * loss.genus
+        return {"loss": total, "masks": loss.masks, "genus": loss.genus}
 
     def _genus(self, batch: Batch, latents: Float[Tensor, "B2 steps T D"]) -> Tensor:
         """Cross-entropy of the genus head on given latents, which it does not change."""

@@ -25,6 +25,10 @@ def command(
     preset: Annotated[
         str, typer.Option(metavar="P", help="micro, tiny, small, paper, or one with -classic.")
     ] = "small",
+    recipe: Annotated[
+        str,
+        typer.Option(metavar="R", help="full, or one-step, explicit, relative, complete."),
+    ] = "full",
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Where weights and curves go.")
     ] = Path("doughnet-run"),
@@ -61,6 +65,7 @@ def command(
         dataset=dataset,
         out=out,
         preset=preset,
+        recipe=recipe,
         sensor=sensor,
         minutes=DEFAULT_MINUTES if minutes is None and epochs is None else minutes,
         epochs=epochs,

@@ -43,6 +43,7 @@ class DoughDataset(Dataset[dict[str, Tensor]]):
     Args:
         uri: the dataset.
         sensor: which depth layer; None = "recorded" for the split "real", else "realsense".
+            "complete" takes points all over the true surfaces, of every key frame, instead.
         split: "train", "test" or "real"; None takes all.
         frames: key frames to use; None takes every one that has a view.
         num_points: points a sample; drawn again if the view has fewer.

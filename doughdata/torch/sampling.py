@@ -18,7 +18,15 @@ from doughschemas import (
     Tool,
 )
 
-__all__ = ["NO_POINT", "dough_points", "grid_labels", "inside_tools", "query_points", "tool_points"]
+__all__ = [
+    "NO_POINT",
+    "complete_points",
+    "dough_points",
+    "grid_labels",
+    "inside_tools",
+    "query_points",
+    "tool_points",
+]
 
 # Box [m] of the uniform queries: the square that bodies stay in, and above it what dough reaches.
 WORKSPACE = np.array([[-0.1, -0.1, 0.0], [0.1, 0.1, 0.06]])
@@ -47,6 +55,24 @@ def dough_points(
     if len(order) < count:
         order = np.concatenate([order, rng.choice(len(chosen), count - len(order))])
     return points[order], labels[order]
+
+
+def complete_points(
+    meshes: tuple[ComponentMesh, ...], count: int, rng: np.random.Generator
+) -> tuple[Float64[np.ndarray, "points 3"], Int64[np.ndarray, " points"]]:
+    """`count` points [m] all over the true surfaces, uniform by area, and their components.
+
+    Without any surface they are zeros labelled NO_POINT.
+    """
+    corners = [mesh.vertices[mesh.faces].astype(np.float64) for mesh in meshes]
+    areas = np.array([np.linalg.norm(_doubled_normals(c), axis=1).sum() for c in corners])
+    if areas.sum() == 0:
+        return np.zeros((count, 3)), np.full(count, NO_POINT, np.int64)
+    labels = np.sort(rng.choice(len(areas), count, p=areas / areas.sum()))
+    counts = np.bincount(labels, minlength=len(areas)).tolist()
+    parts = [_surface_points(c, n, rng) for c, n in zip(corners, counts, strict=True) if n]
+    order = rng.permutation(count)
+    return np.concatenate(parts)[order], labels[order]
 
 
 def query_points(
@@ -107,11 +133,19 @@ def _surface_points(
 ) -> Float64[np.ndarray, "points 3"]:
     """Points uniform by area: square-root barycentric sampling (Osada et al. 2002)."""
     a, b, c = np.moveaxis(triangles, 1, 0)
-    ends = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    ends = np.cumsum(np.linalg.norm(_doubled_normals(triangles), axis=1))
     face = np.searchsorted(ends, rng.random(count) * ends[-1])
     face = np.minimum(face, len(triangles) - 1)
     root, share = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
     return (1 - root) * a[face] + root * (1 - share) * b[face] + root * share * c[face]
+
+
+def _doubled_normals(
+    triangles: Float64[np.ndarray, "triangles 3 3"],
+) -> Float64[np.ndarray, "triangles 3"]:
+    """Normals whose length is twice the area."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    return np.cross(b - a, c - a)
 
 
 def _finger_triangles(tool: Tool) -> Float64[np.ndarray, "triangles 3 3"]:

@@ -28,7 +28,8 @@ class DoughSequences(Dataset[dict[str, Tensor]]):
         uri: the dataset.
         length: key frames a sample; None = all that are chosen of a scene.
         stride: chosen key frames from one to the next of a sample.
-        sensor: which depth layer, e.g. "realsense".
+        sensor: which depth layer, e.g. "realsense"; "complete" takes points all over the true
+            surfaces, of every key frame, instead.
         split: "train" or "test"; None takes both.
         frames: key frames to step through; None takes every one that has a view.
         num_points: points a key frame; drawn again if the view has fewer.

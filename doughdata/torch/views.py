@@ -13,6 +13,7 @@ from doughdata.seeds import seed_sequence
 from doughdata.torch.recorded import recorded_arrays
 from doughdata.torch.sampling import (
     NO_POINT,
+    complete_points,
     dough_points,
     grid_labels,
     query_points,
@@ -20,9 +21,11 @@ from doughdata.torch.sampling import (
 )
 from doughschemas import NO_COMPONENT, BadInputError, MissingLayerError
 
-__all__ = ["SampleSize", "choose_views", "frame_sample"]
+__all__ = ["COMPLETE", "SampleSize", "choose_views", "frame_sample"]
 
 RECORDED_SENSOR = "recorded"  # depth of a real camera
+COMPLETE = "complete"  # no camera: points all over the true surfaces
+Rows = Int64[np.ndarray, " views"]
 COLUMNS = ("scene_index", "frame_index", "view_index")
 
 
@@ -45,7 +48,10 @@ def choose_views(
         MissingLayerError: the dataset has no such depth layer; names the command that makes it.
         BadInputError: nothing is left after the choice of split and frames.
     """
-    views, scenes = source.table("views"), source.scenes
+    if sensor == COMPLETE:
+        scene, frame, view = _meshed(source)
+        return _kept(source, scene, frame, view, split=split, frames=frames)
+    views = source.table("views")
     layer = np.asarray(views["layer"].to_pylist(), dtype=object)
     keep = layer == f"depth.{sensor}"
     if not keep.any():
@@ -53,7 +59,38 @@ def choose_views(
             f"{source.uri} has no layer 'depth.{sensor}'; make it with "
             f"`doughdata render --noise {sensor} --dataset {source.uri}`"
         )
-    scene, frame, view = (views[name].to_numpy().astype(np.int64) for name in COLUMNS)
+    scene, frame, view = (views[name].to_numpy().astype(np.int64)[keep] for name in COLUMNS)
+    return _kept(source, scene, frame, view, split=split, frames=frames)
+
+
+def _meshed(source: Dataset) -> tuple[Rows, Rows, Rows]:
+    """Every key frame of every scene that has meshes, its surface being view 0."""
+    scenes = [k for k in source.scene_indices if _has_meshes(source, k)]
+    if not scenes:
+        raise MissingLayerError(f"{source.uri} has no layer 'mesh'; make it with `doughdata mesh`")
+    scene = np.repeat(np.array(scenes, np.int64), source.num_frames)
+    frame = np.tile(np.arange(source.num_frames), len(scenes))
+    return scene, frame, np.zeros_like(scene)
+
+
+def _has_meshes(source: Dataset, scene: int) -> bool:
+    try:
+        source.layer("mesh", scene)
+    except MissingLayerError:
+        return False
+    return True
+
+
+def _kept(
+    source: Dataset,
+    scene: Rows,
+    frame: Rows,
+    view: Rows,
+    *,
+    split: str | None,
+    frames: Collection[int] | None,
+) -> Int64[np.ndarray, "views 3"]:
+    scenes, keep = source.scenes, np.ones(len(scene), bool)
     if split is not None:
         of_split = [value == split for value in scenes["split"].to_pylist()]
         keep &= np.isin(scene, scenes["scene_index"].to_numpy()[np.array(of_split, bool)])
@@ -83,7 +120,10 @@ def frame_sample(
         raise BadInputError(
             f"{frame} has {len(genus)} components; raise max_components={size.max_components}"
         )
-    points, point_labels = dough_points(frame.depth(sensor), view, size.num_points, rng)
+    if sensor == COMPLETE:
+        points, point_labels = complete_points(frame.meshes, size.num_points, rng)
+    else:
+        points, point_labels = dough_points(frame.depth(sensor), view, size.num_points, rng)
     queries = query_points(frame.meshes, size.num_queries, rng)
     labels = grid_labels(frame.label_grid, queries)
     padded = np.full(size.max_components, NO_POINT, np.int64)
