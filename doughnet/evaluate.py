@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Int
+from jaxtyping import Int, Integer
 from torch import Tensor
 
 from doughdata.torch import DoughSequences
@@ -24,7 +24,7 @@ from doughnet.metrics import TopologyScore, score
 from doughnet.model import DoughNet, Shape
 from doughschemas import NO_COMPONENT
 
-__all__ = ["Truth", "evaluate", "score_frame", "summary"]
+__all__ = ["Row", "Scored", "Truth", "evaluate", "score_frame", "summary"]
 
 Progress = Callable[[int, int], None]  # scenes done, scenes in all
 
@@ -38,7 +38,9 @@ class Truth:
     tools: Any  # `FrameTools`
 
     @classmethod
-    def of(cls, labels: Int[np.ndarray, "nx ny nz"], genus: Sequence[int], tools: Any) -> "Truth":
+    def of(
+        cls, labels: Integer[np.ndarray, "nx ny nz"], genus: Sequence[int], tools: Any
+    ) -> "Truth":
         """From labels on the lattice as numpy has them."""
         labels = np.ascontiguousarray(labels, np.int64)
         return cls(labels=torch.from_numpy(labels), genus=tuple(genus), tools=tools)
@@ -50,12 +52,15 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Scored:
+class Scored:
+    """Metrics of one predicted frame, and the class of the true one."""
+
     score: TopologyScore
     topology: tuple[int, ...]
 
 
-Rows = dict[str, list[_Scored]]
+Rows = dict[str, list[Scored]]
+Row = dict[str, float]
 
 
 @torch.inference_mode()
@@ -97,7 +102,7 @@ def evaluate(
     }
 
 
-def summary(scored: Sequence[_Scored]) -> dict[str, float]:
+def summary(scored: Sequence[Scored]) -> Row:
     """Means of a row in percent; `balanced_accg` is the mean over the topologies that occur."""
     classes: dict[tuple[int, ...], list[bool]] = defaultdict(list)
     for one in scored:
@@ -114,7 +119,7 @@ def summary(scored: Sequence[_Scored]) -> dict[str, float]:
 
 
 def score_frame(
-    labels: Int[Tensor, "nx ny nz"] | Int[np.ndarray, "nx ny nz"],
+    labels: Int[Tensor, "nx ny nz"] | Integer[np.ndarray, "nx ny nz"],
     genus: Sequence[int],
     truth: Truth,
     lattice: Lattice,
@@ -168,7 +173,7 @@ def _score_scene(
     for shape, truth in zip(shapes, truths[1:], strict=True):
         rows["full_sequence"].append(_scored(shape, truth, lattice))
         copied = score_frame(first.labels, first.genus, truth, lattice)
-        rows["copy_first_frame"].append(_Scored(score=copied, topology=truth.topology))
+        rows["copy_first_frame"].append(Scored(score=copied, topology=truth.topology))
     rows["final"].append(rows["full_sequence"][-1])
     rows["copy_final"].append(rows["copy_first_frame"][-1])
     return sum(not shape.consistent for shape in shapes)
@@ -194,9 +199,9 @@ def _score_unlabelled(
     rows["final"].append(rows["full_sequence"][-1])
 
 
-def _scored(shape: Shape, truth: Truth, lattice: Lattice) -> _Scored:
+def _scored(shape: Shape, truth: Truth, lattice: Lattice) -> Scored:
     labels, genus = shape.components()
-    return _Scored(score=score_frame(labels, genus, truth, lattice), topology=truth.topology)
+    return Scored(score=score_frame(labels, genus, truth, lattice), topology=truth.topology)
 
 
 def _percent(values: Iterable[float]) -> float:

@@ -1,5 +1,6 @@
 """A plan carried out in the simulator: which shape and topology it really reaches."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from doughnet.lattice import Lattice, on_lattice, workspace_lattice
 from doughnet.model import Shape
 from doughschemas import BadInputError, Body, MissingLayerError, Scene
 
-__all__ = ["planned_scene", "try_plan"]
+__all__ = ["planned_scene", "shape_bodies", "try_plan"]
 
 
 def planned_scene(
@@ -38,7 +39,7 @@ def planned_scene(
     if start.scene is not None:
         scene = replace(start.scene, tools=(tool,), actions=(action,))
         return check_scene(replace(scene, scene_id=f"{scene.scene_id}-plan", family="custom"))
-    bodies = tuple(_bodies(shape, folder))
+    bodies = tuple(shape_bodies(shape, folder))
     if not bodies:
         raise BadInputError(f"{start.name}: the model sees no dough there")
     return check_scene(
@@ -53,7 +54,12 @@ def planned_scene(
     )
 
 
-def _bodies(shape: Shape, folder: Path) -> Any:
+def shape_bodies(shape: Shape, folder: Path) -> Iterator[Body]:
+    """A body of every component of a shape; their meshes are written into `folder`.
+
+    Raises:
+        BadInputError: the folder cannot be written.
+    """
     lattice = workspace_lattice()
     labels, genus = shape.components()
     trimesh = require_package("trimesh", extra="sim")

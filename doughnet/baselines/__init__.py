@@ -1,0 +1,1 @@
+"""What doughnet is compared with: the same sequences, predicted in other ways."""
