@@ -2,7 +2,7 @@
 
 import typer
 
-from doughcli import net_evaluate, net_plan, net_predict, net_train
+from doughcli import net_analyze, net_evaluate, net_plan, net_predict, net_train
 from doughcli.running import interruptible, run
 
 __all__ = ["app", "main"]
@@ -16,7 +16,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for module in (net_train, net_evaluate, net_predict, net_plan):
+for module in (net_train, net_evaluate, net_predict, net_plan, net_analyze):
     app.command(module.NAME, help=module.HELP, epilog=module.EPILOG)(interruptible(module.command))
 
 

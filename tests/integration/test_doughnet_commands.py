@@ -157,6 +157,35 @@ def test_plan_refuses_in_one_line(
     assert len(done.stderr.strip().splitlines()) == 1
 
 
+@pytest.mark.parametrize("method", ["vpm", "copy"])
+def test_other_methods_are_scored(trained: Path, scenes: str, method: str) -> None:
+    """`evaluate --method` prints full sequence and final frame with intervals, and its speed."""
+    where = ("--dataset", scenes, "--weights", trained, "--split", "train", "--sensor", "none")
+    table = json.loads(
+        doughnet("evaluate", *where, "--method", method, "--json", cwd=trained).stdout
+    )
+    assert table["method"] == method
+    assert table["fps"] > 0
+    for row in (table["full_sequence"], table["final"]):
+        low, high = row["interval"]["viou"]
+        assert 0 <= low <= row["viou"] <= high <= 100
+    refused = doughnet("evaluate", *where, "--method", "oracle", cwd=trained, code=2)
+    assert "vpm" in refused.stderr
+
+
+def test_analyze_draws_and_measures(trained: Path, scenes: str, tmp_path: Path) -> None:
+    """Pictures and one JSON file; changes are found among the rendered key frames."""
+    where = ("--dataset", scenes, "--weights", trained, "--split", "train", "--sensor", "none")
+    found = json.loads(doughnet("analyze", *where, "--save", "a", "--json", cwd=tmp_path).stdout)
+    pictures = {"roc", "precision_recall", "tsne", "errors", "scales"}
+    there = {path.name for path in (tmp_path / "a").iterdir()}
+    assert there >= {f"{name}.png" for name in pictures} | {"analysis.json"}
+    assert ("failures.png" in there) == (found["failures"] > 0)
+    assert 0 < found["changes"]["f1"] <= 100
+    assert len(found["by_step"]) == len(found["corrected"]) == found["changes"]["key_frames"]
+    assert json.loads((tmp_path / "a/analysis.json").read_text())["scenes"] == found["scenes"] == 2
+
+
 def test_a_run_reports_itself(trained: Path, scenes: str) -> None:
     """The report of a training holds the table, the curves of both stages and a card with each row
     of the table.

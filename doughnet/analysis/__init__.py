@@ -1,0 +1,1 @@
+"""What the latents know: where they lie, when they jump, which frames go wrong."""

@@ -1,0 +1,108 @@
+"""How predictions go wrong over a sequence, and how often the model contradicts itself."""
+
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from doughdata.torch import DoughSequences
+from doughnet.evaluate import Scored, Truth, score_frame, summary
+from doughnet.lattice import Lattice, on_lattice, workspace_lattice
+from doughnet.model import DoughNet, Shape
+
+__all__ = ["Errors", "Failure", "sequence_errors"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failure:
+    """A predicted frame whose topology is wrong."""
+
+    scene_index: int
+    frame_index: int
+    volume_iou: float
+    predicted: tuple[int, ...]  # genera, sorted
+    true: tuple[int, ...]
+    inconsistent: bool  # masks and genus head name different components
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Errors:
+    """Full sequences of all scenes, step by step; step 0 is what the first view was taken for."""
+
+    by_step: tuple[dict[str, float], ...]  # the figures of `evaluate`, in percent
+    first_wrong: int  # scenes whose first reconstruction has a wrong topology
+    corrected: tuple[float, ...]  # percent of these that are right, at every step
+    inconsistent: float  # percent of predicted frames
+    failures: tuple[Failure, ...]  # worst volume first
+
+
+@torch.inference_mode()
+def sequence_errors(
+    model: DoughNet,
+    dataset: DoughSequences,
+    *,
+    lattice: Lattice | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Errors:
+    """Predict every scene from its first view and compare every frame."""
+    lattice = lattice or workspace_lattice()
+    steps: dict[int, list[Scored]] = defaultdict(list)
+    right: list[list[bool]] = []
+    failures: list[Failure] = []
+    inconsistent = predicted = 0
+    for index in range(len(dataset)):
+        sample = dataset[index]
+        first = model.encode(sample["points"][:1], sample["point_labels"][:1])
+        latents = first
+        if len(sample["genus"]) > 1:
+            latents = torch.cat([first, model.rollout(first, sample["tool_points"][None])[0]])
+        own = []
+        for step, z_TD in enumerate(latents):
+            shape = model.decode(z_TD, lattice)
+            place = int(sample["scene_index"][step]), int(sample["frame_index"][step])
+            scored = _scored(dataset, shape, place, lattice)
+            steps[step].append(scored)
+            own.append(scored.score.right_genus)
+            if step:
+                predicted += 1
+                inconsistent += not shape.consistent
+                if not scored.score.right_genus:
+                    failures.append(_failure(shape, place, scored))
+        right.append(own)
+        if progress is not None:
+            progress(index + 1, len(dataset))
+    wrong = [own for own in right if not own[0]]
+    return Errors(
+        by_step=tuple(summary(steps[k]) for k in sorted(steps)),
+        first_wrong=len(wrong),
+        corrected=tuple(_share(own[k] for own in wrong if k < len(own)) for k in sorted(steps)),
+        inconsistent=100 * inconsistent / max(predicted, 1),
+        failures=tuple(sorted(failures, key=lambda one: one.volume_iou)),
+    )
+
+
+def _scored(
+    dataset: DoughSequences, shape: Shape, place: tuple[int, int], lattice: Lattice
+) -> Scored:
+    frame = dataset.source.frame(scene=place[0], frame=place[1])
+    truth = Truth.of(on_lattice(frame.label_grid, lattice), frame.topology.genus, frame.tools)
+    labels, genus = shape.components()
+    return Scored(score=score_frame(labels, genus, truth, lattice), topology=truth.topology)
+
+
+def _failure(shape: Shape, place: tuple[int, int], scored: Scored) -> Failure:
+    return Failure(
+        scene_index=place[0],
+        frame_index=place[1],
+        volume_iou=scored.score.volume_iou,
+        predicted=tuple(sorted(g for g in shape.genus if g is not None)),
+        true=scored.topology,
+        inconsistent=not shape.consistent,
+    )
+
+
+def _share(values: Any) -> float:
+    found = list(values)
+    return 100 * sum(found) / len(found) if found else 0.0
