@@ -37,7 +37,7 @@ class SearchConfig:
     spread: float = 0.008  # [m], first standard deviation of both coordinates
     reach: float = 0.040  # [m], greatest of both
     turn_spread: float = float(np.radians(10))  # [rad]
-    turn: float = float(np.radians(10))  # [rad], greatest
+    turn: float = float(np.radians(10))  # [rad], greatest; a quarter turn or more = any
     openings: tuple[float, float] = (0.0005, 0.020)  # [m]
     least: float = 0.02  # share of the first deviations that is always kept
     doubt: float = 0.5  # squeezes that every tool is credited with, so that none dies out at once
@@ -53,10 +53,16 @@ class SearchConfig:
             raise BadInputError(f"openings must rise from above 0 m, got {self.openings}")
 
     @property
+    def any_turn(self) -> bool:
+        """Whether every turn is allowed: half a turn on, the gripper is the same again."""
+        return self.turn >= np.pi / 2
+
+    @property
     def bounds(self) -> Float64[np.ndarray, "2 4"]:
         """Least and greatest x, y, yaw, opening."""
-        low = [-self.reach, -self.reach, -self.turn, self.openings[0]]
-        return np.array([low, [self.reach, self.reach, self.turn, self.openings[1]]])
+        turn = np.inf if self.any_turn else self.turn
+        low = [-self.reach, -self.reach, -turn, self.openings[0]]
+        return np.array([low, [self.reach, self.reach, turn, self.openings[1]]])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,7 +102,10 @@ class _Distribution:
             if not out.any():
                 break
             rows[out] = rng.normal(self.mean, self.spread, (count, 4))[out]
-        return rng.choice(len(self.tools), count, p=self.shares), np.clip(rows, low, high)
+        rows = np.clip(rows, low, high)
+        if config.any_turn:
+            rows[:, 2] = _half_turn(rows[:, 2])
+        return rng.choice(len(self.tools), count, p=self.shares), rows
 
     def refit(
         self,
@@ -105,10 +114,18 @@ class _Distribution:
         first: "_Distribution",
         config: SearchConfig,
     ) -> None:
+        if config.any_turn:  # about the best one, so that a mean makes sense
+            rows = rows.copy()
+            rows[:, 2] = rows[0, 2] + _half_turn(rows[:, 2] - rows[0, 2])
         counts = np.bincount(tool, minlength=len(self.tools)) + config.doubt / len(self.tools)
         self.shares = counts / counts.sum()
         self.mean = rows.mean(axis=0)
         self.spread = np.maximum(rows.std(axis=0), config.least * first.spread)
+
+
+def _half_turn(yaw: Float64[np.ndarray, " squeezes"]) -> Float64[np.ndarray, " squeezes"]:
+    """The same gripper poses with yaw within a quarter turn either way."""
+    return (yaw + np.pi / 2) % np.pi - np.pi / 2
 
 
 def search(

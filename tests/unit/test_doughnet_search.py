@@ -34,6 +34,19 @@ def test_a_bowl_has_its_bottom_found(seed: int) -> None:
     assert rounds[-1].shares[TOOLS.index("regular")] > 0.9
 
 
+@pytest.mark.parametrize("wanted", [np.radians(88.0), np.radians(-89.0), 0.3])
+def test_any_turn_has_no_edge(wanted: float) -> None:
+    """With every turn allowed, one near a quarter turn is found from either side."""
+
+    def score(squeezes):
+        return np.array([-abs(np.sin(s.yaw - wanted)) for s in squeezes])
+
+    config = SearchConfig(turn=np.pi / 2, turn_spread=np.pi / 2)
+    best = list(search(score, TOOLS, config))[-1].squeezes[0]
+    assert abs(best.yaw) <= np.pi / 2
+    assert abs(np.degrees(np.arcsin(np.sin(best.yaw - wanted)))) < 2.0
+
+
 def test_rounds_have_the_sizes_asked_for() -> None:
     """So many samples are scored, so many are kept, best first, in so many rounds."""
     asked: list[int] = []
