@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from doughdata.scenes import PRESETS, finger_poses
-from doughdata.scenes.sdf import SignedDistanceGrid, finger_sdf
+from doughdata.scenes.sdf import MARGIN, SignedDistanceGrid, finger_sdf
 from doughdata.sim import contact as rigid
 from doughdata.sim._taichi import start, ti
 from doughdata.sim.arrays import Integers, Nodes, Scalars, Vectors
@@ -60,7 +60,7 @@ def run_find(
         )
 
 
-def contact_of(sdf: SignedDistanceGrid) -> rigid.Contact:
+def contact_of(sdf: SignedDistanceGrid, *, beyond: float = 0.0) -> rigid.Contact:
     """Fingers at the pose of this module."""
     return rigid.Contact(
         fingers=2,
@@ -74,6 +74,7 @@ def contact_of(sdf: SignedDistanceGrid) -> rigid.Contact:
         sdf_origin=Vec3(*sdf.origin),
         sdf_spacing=sdf.spacing,
         sdf_shape=rigid.Int3(*sdf.values.shape),
+        sdf_beyond=beyond,
     )
 
 
@@ -186,3 +187,28 @@ def test_node_distances_are_those_of_the_fingers() -> None:
         near = exact < 0.006
         assert near.sum() > 100
         assert np.abs(found - exact)[near].max() < 1e-7
+
+
+@pytest.mark.parametrize("dx", [0.0016, 0.003125, 0.00625])
+@pytest.mark.parametrize("name", sorted(PRESETS))
+def test_nothing_is_lost_where_fingers_are_not_looked_for(name: str, dx: float) -> None:
+    """Knowing where the finger lies in its grid changes no volume and no distance below a cell."""
+    sdf, cells = finger_sdf(PRESETS[name]), round(0.15 / dx)
+    shape = (cells, cells, cells // 2)
+    origin = np.array([GAP[0], GAP[1], 0.0]) - dx * np.array([cells // 2, cells // 2, 3])
+    grid = rigid.Grid(
+        origin=Vec3(*origin), dx=dx, inverse=1 / dx, shape=rigid.Int3(*shape), table=-1
+    )
+    total, found = int(np.prod(shape)), []
+    for beyond in (0.0, MARGIN):
+        colliders, free = np.zeros((2 * total, 4), np.float32), np.zeros(2 * total, np.float32)
+        contact = contact_of(sdf, beyond=beyond)
+        run_find(sdf.values.reshape(-1), colliders, free, grid, contact)
+        found.append((colliders, free[total:]))
+    (every, volume), (pruned, same) = found
+    np.testing.assert_array_equal(volume, same)
+    near = every[:, 3] < dx
+    assert near.any()
+    np.testing.assert_array_equal(every[near], pruned[near])
+    skipped = (every != pruned).any(axis=1)
+    assert (pruned[skipped, 3] == rigid.FAR).all()
