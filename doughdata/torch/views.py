@@ -89,7 +89,7 @@ def _kept(
     *,
     split: str | None,
     frames: Collection[int] | None,
-) -> Int64[np.ndarray, "views 3"]:
+) -> Int64[np.ndarray, "kept 3"]:
     scenes, keep = source.scenes, np.ones(len(scene), bool)
     if split is not None:
         of_split = [value == split for value in scenes["split"].to_pylist()]

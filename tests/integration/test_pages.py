@@ -33,6 +33,7 @@ FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
 FLAGS += ["--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-sync"]
 FLAGS += ["--disable-background-networking", "--disable-component-update"]
 BORDER = 4  # [px], where the frame of the focus is drawn
+PATIENCE = 120_000  # [ms]; software rendering starves where other work holds the cores
 LAYERS = ("particles", "mesh", "tools", "depth", "graph")
 
 
@@ -66,7 +67,7 @@ class Opened:
         from PIL import Image
 
         self.page.wait_for_timeout(150)  # two pictures of the browser
-        png = self.page.locator("canvas").first.screenshot()
+        png = self.page.locator("canvas").first.screenshot(timeout=PATIENCE)
         whole = np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
         return whole[BORDER:-BORDER, BORDER:-BORDER]
 
