@@ -28,7 +28,9 @@ Sym = ti.types.vector(6, ti.f32)
 Vec3 = ti.types.vector(3, ti.f32)
 Mat3 = ti.types.matrix(3, 3, ti.f32)
 
-ORDER = 8  # of both series
+# Coefficients of both series, which go to order 8.
+THIRD, SEVENTH = 1.0 / 3.0, 1.0 / 7.0
+C3, C4, C5, C6, C7, C8 = (1.0 / factorial(k) for k in range(3, 9))
 SERIES_LOG = 0.0625  # |Y|^2 up to which log(I + Y) is a series: truncation below 1e-6 at |Y| = 0.25
 SERIES_EXP = 1.0  # |X|^2 up to which exp(X) is a series: truncation below 3e-6 at |X| = 1
 SMALLEST = 1e-8  # eigenvalues of b are kept above
@@ -111,15 +113,11 @@ def sym_log(s):
         y2 = sym_square(y)
         p = 0.5 * (y2[0] + y2[1] + y2[2])
         q = sym_det(y)
-        # Y^k = power . (I, Y, Y^2), advanced from k = 2 by multiplying with Y once more.
-        power = Vec3(0.0, 0.0, 1.0)
-        f1 = 1.0
-        f2 = -0.5
-        for k in ti.static(range(3, ORDER + 1)):
-            following = Vec3(power[2] * q, power[0] + power[2] * p, power[1])
-            power = following
-            f1 = f1 + ti.static((1.0 if k % 2 else -1.0) / k) * power[1]
-            f2 = f2 + ti.static((1.0 if k % 2 else -1.0) / k) * power[2]
+        pp, pq = p * p, p * q
+        last = pp * p + q * q
+        # Y^3 .. Y^8 in I, Y, Y^2, summed with 1, -1/2, 1/3 ..; the trace is taken off below
+        f1 = 1.0 + THIRD * (p - pq) - 0.25 * q + 0.2 * pp + SEVENTH * last - 0.375 * pp * q
+        f2 = -0.5 - 0.25 * p + 0.2 * q - 0.5 * THIRD * pp + 2.0 * SEVENTH * pq - 0.125 * last
         mean = f2 * p * (2.0 / 3.0)
         deviator = f1 * y + f2 * y2 - Sym(mean, mean, mean, 0.0, 0.0, 0.0)
         det = m * m * m * (1.0 - p + q)
@@ -145,13 +143,13 @@ def sym_exp_deviator(x):
     y2 = sym_square(y)
     p = 0.5 * (y2[0] + y2[1] + y2[2])
     q = sym_det(y)
-    power = Vec3(0.0, 0.0, 1.0)
-    f = Vec3(1.0, 1.0, 0.5)
-    for k in ti.static(range(3, ORDER + 1)):
-        following = Vec3(power[2] * q, power[0] + power[2] * p, power[1])
-        power = following
-        f = f + ti.static(1.0 / factorial(k)) * power
-    result = f[1] * y + f[2] * y2 + Sym(f[0], f[0], f[0], 0.0, 0.0, 0.0)
+    pp, pq, qq = p * p, p * q, q * q
+    last = pp * p + qq
+    # Y^3 .. Y^8 in I, Y, Y^2, divided by 3! .. 8!
+    f0 = 1.0 + C3 * q + C5 * pq + C6 * qq + C7 * pp * q + 2.0 * C8 * pq * q
+    f1 = 1.0 + C3 * p + C4 * q + C5 * pp + 2.0 * C6 * pq + C7 * last + 3.0 * C8 * pp * q
+    f2 = 0.5 + C4 * p + C5 * q + C6 * pp + 2.0 * C7 * pq + C8 * last
+    result = f1 * y + f2 * y2 + Sym(f0, f0, f0, 0.0, 0.0, 0.0)
     for _ in range(halvings):
         squared = sym_square(result)
         result = squared
