@@ -17,6 +17,7 @@ import torch
 from jaxtyping import Int, Integer
 from torch import Tensor
 
+from doughdata.dataset import Frame
 from doughdata.torch import DoughSequences
 from doughdata.torch.sampling import inside_tools
 from doughnet.lattice import Lattice, on_lattice, workspace_lattice
@@ -44,6 +45,11 @@ class Truth:
         """From labels on the lattice as numpy has them."""
         labels = np.ascontiguousarray(labels, np.int64)
         return cls(labels=torch.from_numpy(labels), genus=tuple(genus), tools=tools)
+
+    @classmethod
+    def of_frame(cls, frame: Frame, lattice: Lattice) -> "Truth":
+        """Of a simulated key frame."""
+        return cls.of(on_lattice(frame.label_grid, lattice), frame.topology.genus, frame.tools)
 
     @property
     def topology(self) -> tuple[int, ...]:
@@ -85,7 +91,9 @@ def evaluate(
     inconsistent = 0
     for index in range(len(dataset)):
         sample = dataset[index]
-        truths = [_truth(dataset, sample, k, lattice) for k in range(len(sample["genus"]))]
+        pairs = zip(sample["scene_index"].tolist(), sample["frame_index"].tolist(), strict=True)
+        frames = [dataset.source.frame(scene=scene, frame=frame) for scene, frame in pairs]
+        truths = [Truth.of_frame(frame, lattice) for frame in frames]
         inconsistent += _score_scene(model, sample, truths, lattice, rows)
         _score_unlabelled(model, sample, truths, lattice, blind)
         if progress is not None:
@@ -139,13 +147,6 @@ def score_frame(
         predicted_genus=list(genus),
         true_genus=list(truth.genus),
     )
-
-
-def _truth(dataset: DoughSequences, sample: dict[str, Tensor], k: int, lattice: Lattice) -> Truth:
-    scene, frame_index = int(sample["scene_index"][k]), int(sample["frame_index"][k])
-    frame = dataset.source.frame(scene=scene, frame=frame_index)
-    labels = on_lattice(frame.label_grid, lattice)
-    return Truth.of(labels, frame.topology.genus, frame.tools)
 
 
 def _score_scene(

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from doughcli.net_surfaces import from_above
 from doughdata.registry import require_package
 from doughdata.view.panels import COLOURS
 from doughschemas import BadInputError
@@ -168,10 +169,6 @@ def _from_above(model: Any, sequences: Any, one: Any) -> tuple[np.ndarray, np.nd
 
 
 def _picture(labels: np.ndarray, count: int) -> np.ndarray:
-    solid = (labels >= 0) & (labels < count)
-    top = labels.shape[2] - 1 - solid[:, :, ::-1].argmax(axis=2)
-    seen = np.take_along_axis(labels, top[..., None], 2)[..., 0].astype(int)
-    picture = np.ones((*seen.shape, 3))
-    there = solid.any(axis=2)
-    picture[there] = COLOURS[seen[there] % len(COLOURS)][:, :3]
-    return picture
+    seen = from_above(labels, count)
+    colours = COLOURS[seen % len(COLOURS)][..., :3]
+    return np.where((seen >= 0)[..., None], colours, 1.0)

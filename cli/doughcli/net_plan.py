@@ -1,5 +1,6 @@
 """`doughnet plan`: which squeeze turns the dough that is seen into the goal?"""
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -50,9 +51,8 @@ def command(
         bool, typer.Option("--verify", help="Carry the plan out in the simulator and compare.")
     ] = False,
     save: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder for plan.json, scene.json and plan.html."),
-    ] = None,
+        Path, typer.Option(metavar="DIR", help="Folder for plan.json, scene.json and plan.html.")
+    ] = Path("doughnet-plan"),
     threads: ThreadsOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -77,7 +77,6 @@ def command(
         frames = tuple(frame for frame in begin.key_frames if frame >= first)
         if len(frames) < 2:
             raise BadInputError(f"--start {start}: no key frame is left after {first}")
-    folder = save or Path("doughnet-plan")
     gripper = ToolGripper(
         _tools(tools, begin.scene), _template(begin.scene), frames=frames, num_frames=num_frames
     )
@@ -89,24 +88,24 @@ def command(
             config,
             progress=lambda done, every, best: bar.advance(done / every, {"cosine": best}),
         )
-    _make(folder)
+    _make(save)
     shape = model.decode(planner.start)
-    scene = planned_scene(begin, gripper, plan.squeeze, shape=shape, folder=folder)
+    scene = planned_scene(begin, gripper, plan.squeeze, shape=shape, folder=save)
     found = {"start": begin.name, "goal": end.name, **plan.to_json()}
     if verify:
         found["verified"] = try_plan(scene, end, frame=frames[-1], num_frames=num_frames)
     from doughcli.net_plan_page import plan_page
 
     shapes = [model.decode(planner.latents([r.squeezes[0]])[0, -1]) for r in plan.rounds]
-    _write(folder / "plan.json", found)
-    _write(folder / "scene.json", scene_to_json(scene))
-    page = folder / "plan.html"
-    page.write_text(plan_page(plan, shapes, begin, end, gripper, found), encoding="utf-8")
+    _write(save / "plan.json", _json(found))
+    _write(save / "scene.json", _json(scene_to_json(scene)))
+    page = save / "plan.html"
+    _write(page, plan_page(plan, shapes, begin, end, gripper, found))
     if as_json:
         emit_json({"page": str(page), **{k: v for k, v in found.items() if k != "rounds"}})
         return
     _print(found)
-    print(f"{folder}/plan.html, plan.json; doughdata generate --scenes {folder}/scene.json")
+    print(f"{save}/plan.html, plan.json; doughdata generate --scenes {save}/scene.json")
 
 
 def _config(samples: int, elites: int, rounds: int, reach: float, turn: float, seed: int) -> Any:
@@ -169,11 +168,13 @@ def _make(folder: Path) -> None:
         raise BadInputError(f"cannot make {folder}: {error.strerror or error}") from error
 
 
-def _write(path: Path, data: Any) -> None:
-    import json
+def _json(data: Any) -> str:
+    return json.dumps(data, indent=1, allow_nan=False) + "\n"
 
+
+def _write(path: Path, text: str) -> None:
     try:
-        path.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise BadInputError(f"cannot write {path}: {error.strerror or error}") from error
 

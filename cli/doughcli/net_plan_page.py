@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from doughcli.net_surfaces import from_above
 from doughdata.view.panels import COLOURS
 
 __all__ = ["plan_page"]
@@ -101,10 +102,7 @@ def _dough(shape: Any) -> str:
 
     lattice = workspace_lattice()
     labels, genus = shape.components()
-    above = labels.numpy()[::PIXEL, ::PIXEL]
-    solid = (above >= 0) & (above < len(genus))
-    top = above.shape[2] - 1 - solid[:, :, ::-1].argmax(axis=2)
-    seen = np.where(solid.any(axis=2), np.take_along_axis(above, top[..., None], 2)[..., 0], -1)
+    seen = from_above(labels.numpy()[::PIXEL, ::PIXEL], len(genus))
     x0, y0 = 1000 * lattice.origin[:2]
     parts = []
     for row in range(seen.shape[1]):

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64
+from jaxtyping import Bool, Float32, Int64, Integer
 
 from doughdata.registry import require_package
 from doughschemas import NO_COMPONENT, ComponentMesh
 
-__all__ = ["closed_surface", "voxels"]
+__all__ = ["closed_surface", "from_above", "voxels"]
 
 SMOOTHING = 0.8  # nodes; a surface of whole nodes has steps
 
@@ -27,6 +27,14 @@ def closed_surface(
     vertices, faces, _, _ = measure.marching_cubes(field, 0.5)
     vertices = (vertices - 2) * stride * lattice.spacing + lattice.origin
     return vertices.astype(np.float32), faces[:, ::-1].astype(np.int64)
+
+
+def from_above(labels: Integer[np.ndarray, "nx ny nz"], count: int) -> Integer[np.ndarray, "nx ny"]:
+    """The topmost component over every node of the table, -1 where there is none."""
+    solid = (labels >= 0) & (labels < count)
+    top = labels.shape[2] - 1 - solid[:, :, ::-1].argmax(axis=2)
+    seen = np.take_along_axis(labels, top[..., None], 2)[..., 0].astype(int)
+    return np.where(solid.any(axis=2), seen, -1)
 
 
 def voxels(meshes: Sequence[ComponentMesh], lattice: Any) -> Int64[np.ndarray, "nx ny nz"]:

@@ -9,7 +9,7 @@ import torch
 
 from doughdata.torch import DoughSequences
 from doughnet.evaluate import Scored, Truth, score_frame, summary
-from doughnet.lattice import Lattice, on_lattice, workspace_lattice
+from doughnet.lattice import Lattice, workspace_lattice
 from doughnet.model import DoughNet, Shape
 
 __all__ = ["Errors", "Failure", "sequence_errors"]
@@ -87,7 +87,7 @@ def _scored(
     dataset: DoughSequences, shape: Shape, place: tuple[int, int], lattice: Lattice
 ) -> Scored:
     frame = dataset.source.frame(scene=place[0], frame=place[1])
-    truth = Truth.of(on_lattice(frame.label_grid, lattice), frame.topology.genus, frame.tools)
+    truth = Truth.of_frame(frame, lattice)
     labels, genus = shape.components()
     return Scored(score=score_frame(labels, genus, truth, lattice), topology=truth.topology)
 

@@ -27,6 +27,7 @@ class Method(Protocol):
     """A way to predict."""
 
     name: str
+    failed: int  # scenes that it could not predict and guessed
 
     def sequence(
         self, sample: Mapping[str, Tensor], frames: Sequence[Frame], lattice: Lattice
@@ -45,7 +46,7 @@ class Method(Protocol):
 class Copy:
     """The true first frame for all others: what a method must beat."""
 
-    name = "copy"
+    name, failed = "copy", 0
 
     def sequence(
         self, sample: Mapping[str, Tensor], frames: Sequence[Frame], lattice: Lattice
@@ -59,7 +60,7 @@ class Copy:
 class Model:
     """The model itself: masks and genera as it predicts them."""
 
-    name = "doughnet"
+    name, failed = "doughnet", 0
 
     def __init__(self, model: DoughNet) -> None:
         self.model = model
@@ -128,12 +129,12 @@ def evaluate_method(
         "full_sequence": _row(scenes),
         "final": _row(finals),
         "fps": round(predicted / seconds, 2) if seconds else 0.0,
-        "failed": getattr(method, "failed", 0),
+        "failed": method.failed,
     }
 
 
 def _scored(labels: Any, genus: Sequence[int], frame: Frame, lattice: Lattice) -> Scored:
-    truth = Truth.of(on_lattice(frame.label_grid, lattice), frame.topology.genus, frame.tools)
+    truth = Truth.of_frame(frame, lattice)
     score = score_frame(labels, genus, truth, lattice)
     return Scored(score=score, topology=truth.topology)
 
