@@ -53,6 +53,7 @@ class BondGraph:
         self.near = near_keys(positions, self.reach * self.spacing)
         self.pairs = decode(self.near, self.count)
         self.lengths = lengths(positions, self.pairs)
+        self._rows: dict[float, Int64[np.ndarray, " bonds"]] = {}  # of bonds up to a length
 
     @property
     def contacts(self) -> Int64[np.ndarray, " contacts"]:
@@ -68,7 +69,10 @@ class BondGraph:
         return self.pairs.take(self._short(longest), axis=0)
 
     def _short(self, longest: float) -> Int64[np.ndarray, " bonds"]:
-        return np.flatnonzero((self.lengths < longest * self.spacing) & ~self.contact)
+        if longest not in self._rows:
+            short = (self.lengths < longest * self.spacing) & ~self.contact
+            self._rows[longest] = np.flatnonzero(short)
+        return self._rows[longest]
 
     def pieces(self) -> Int32[np.ndarray, " particles"]:
         """Piece of each particle: what short bonds hold together."""
@@ -93,11 +97,18 @@ class BondGraph:
         limit = np.full(len(self.near), self.support_old)
         limit[new] = self.support_new
         self.contact[new] = True
-        pending = np.flatnonzero(self.contact)
-        pending = pending[~self.locked(pending)]
         # With a neighbour bonded to both ends, these are of one component already: no pair across
         # components is ever bonded here.
-        self.contact[self._inherit(pending, limit[pending])] = False
+        whole = connected(self.bonded_pairs(self.reach), self.count)
+        pending = np.flatnonzero(self.contact)
+        ends = self.pairs.take(pending, axis=0)
+        pending = pending[whole.take(ends[:, 0]) == whole.take(ends[:, 1])]
+        pending = pending[~self.locked(pending)]
+        self._mark(self._inherit(pending, limit[pending]), contact=False)
+
+    def _mark(self, rows: Int64[np.ndarray, " rows"], *, contact: bool) -> None:
+        self.contact[rows] = contact
+        self._rows.clear()
 
     def _inherit(
         self, pending: Int64[np.ndarray, " pending"], limit: Float64[np.ndarray, " pending"]
@@ -152,17 +163,18 @@ class BondGraph:
         ends[decode(keys, self.count)] = True
         rows = np.flatnonzero(self.contact)
         inside = rows[ends[self.pairs[rows]].all(axis=1)]
-        self.contact[inside[~self.locked(inside)]] = False
-        self.contact[rows_of(keys, self.near)] = False
+        self._mark(inside[~self.locked(inside)], contact=False)
+        self._mark(rows_of(keys, self.near), contact=False)
 
     def cut(self, side: UInt8[np.ndarray, " particles"]) -> None:
         """Break every bond between side 1 and side 2 until the next action."""
-        self.contact |= side[self.pairs[:, 0]] * side[self.pairs[:, 1]] == 2
+        across = side[self.pairs[:, 0]] * side[self.pairs[:, 1]] == 2
+        self._mark(np.flatnonzero(across), contact=True)
         self.cuts.append(side.astype(np.uint8))
 
     def cross(self, rows: Int64[np.ndarray, " rows"]) -> None:
         """Break the bonds that a finger passes through, until the next action."""
-        self.contact[rows] = True
+        self._mark(rows, contact=True)
         self.crossed = np.union1d(self.crossed, self.near[rows])
 
 

@@ -17,7 +17,12 @@ def bond_changes(
     made, broken = [], []
     before = np.zeros(0, np.int64)
     for now in bonds:
-        made.append(decode(without(now, before), count).astype(np.int32))
-        broken.append(decode(without(before, now), count).astype(np.int32))
+        same = now is before  # nothing moved
+        made.append(_pairs(now[:0] if same else without(now, before), count))
+        broken.append(_pairs(now[:0] if same else without(before, now), count))
         before = now
     return tuple(made), tuple(broken)
+
+
+def _pairs(keys: Int64[np.ndarray, " _"], count: int) -> Int32[np.ndarray, "_ 2"]:
+    return decode(keys, count).astype(np.int32)

@@ -18,18 +18,26 @@ def refine(
     high: int,
     read: Callable[[int], object],
     settled: Callable[[int, int], bool],
+    likely: Callable[[int, int], Sequence[int]] | None = None,
+    *,
+    finest: int = 1,
 ) -> None:
     """Read between two key frames until readings that agree are at most `STRIDE` apart.
 
-    Or until `settled` says that nothing can have changed between them.
+    Or until `settled` says that nothing can have changed between them. Two readings that differ are
+    approached from the middle, or from the middle one of the `likely` key frames after the first,
+    until they are `finest` apart.
     """
     if read(low) == read(high) and (high - low <= STRIDE or settled(low, high)):
         return
-    if high - low <= 1:
+    if high - low <= finest:
         return
-    middle = (low + high) // 2
-    refine(low, middle, read, settled)
-    refine(middle, high, read, settled)
+    before = after = (low + high) // 2
+    if likely is not None and read(low) != read(high) and (frames := likely(low, high)):
+        after = frames[len(frames) // 2]
+        before = after - 1
+    refine(low, before, read, settled, likely, finest=finest)
+    refine(after, high, read, settled, likely, finest=finest)
 
 
 def runs_of(

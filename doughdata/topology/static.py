@@ -25,6 +25,7 @@ from doughschemas import FrameTopology, Particles, Scene, Topology
 __all__ = ["StaticCheck", "StaticConfig", "StaticFrame", "static_frames", "static_genus"]
 
 STILL = 0.1  # [spacings]; a state that moved less than this keeps its reading
+FINEST = 3  # key frames between two readings of the baseline that differ
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,8 +106,8 @@ def static_genus(
 ) -> list[tuple[int, ...]]:
     """Genus of every component of the static check in every key frame, largest component first.
 
-    `pieces` are those of particles nearer than `config.radius`. Solids are read at
-    least every `STRIDE` key frames in which anything moves, and wherever two readings differ.
+    `pieces` are those of particles nearer than `config.radius`. Solids are read at least every
+    `STRIDE` key frames in which anything moves, and every `FINEST` where two readings differ.
     """
     crumb = crumb_limit(particles, config.crumb_share, config.crumb_volume)
     parts = [components_of(piece, crumb=crumb) for piece in pieces]
@@ -126,7 +127,7 @@ def static_genus(
     counts = [len(own) for own in parts]
     edges = [0, *(k for k in range(1, len(counts)) if counts[k] != counts[k - 1]), len(counts)]
     for first, end in itertools.pairwise(edges):
-        refine(first, end - 1, genus, still)
+        refine(first, end - 1, genus, still, finest=FINEST)
     found: list[tuple[int, ...]] = []
     for frame in range(len(parts)):
         found.append(read.get(frame) or found[-1])

@@ -144,9 +144,11 @@ def find_events(
 def groups(before: FrameTopology, after: FrameTopology) -> list[tuple[list[int], list[int]]]:
     """Labels before and after that belong together, in the order of the lowest label."""
     was, now = before.num_components, after.num_components
+    if was == now and (now == 1 or np.array_equal(before.labels, after.labels)):
+        return [([k], [k]) for k in range(now)]
     both = (before.labels != STRAY) & (after.labels != STRAY)
-    table = np.zeros((was, now), dtype=int)
-    np.add.at(table, (before.labels[both], after.labels[both]), 1)
+    cell = before.labels[both].astype(np.intp) * now + after.labels[both]
+    table = np.bincount(cell, minlength=was * now).reshape(was, now)
     size_was = np.bincount(before.labels[before.labels != STRAY], minlength=was)
     size_now = np.bincount(after.labels[after.labels != STRAY], minlength=now)
     smaller = np.minimum(size_was[:, None], size_now[None, :])
