@@ -1,0 +1,119 @@
+"""Which key frames are read, and when a reading leaves a genus unsure."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from doughdata.topology.dynamic import DynamicConfig
+from doughdata.topology.genus import read_shapes
+from doughdata.topology.pairs import decode, near_keys
+from doughdata.topology.readings import LoopWindow, read_component
+from doughdata.topology.runs import STRIDE, refine
+from doughdata.topology.tracking import groups
+from doughschemas import STRAY, FrameTopology, SceneGraph
+from tests.topology_states import SPACING, lattice
+
+WINDOW = LoopWindow(
+    birth=DynamicConfig().loop_birth,
+    death=DynamicConfig().loop_death,
+    doubt=DynamicConfig().loop_doubt,
+)
+
+
+@given(
+    changes=st.sets(st.integers(1, 74), max_size=5),
+    also_likely=st.sets(st.integers(1, 74), max_size=5),
+    finest=st.integers(1, 4),
+)
+def test_changes_are_found_between_readings(
+    changes: set[int], also_likely: set[int], finest: int
+) -> None:
+    """Neighbouring readings agree and are near, or differ and are nearest or beside a hint."""
+    likely = sorted(changes | also_likely)
+    value = np.cumsum([k in changes for k in range(75)])
+    seen = set()
+
+    def read(frame: int) -> int:
+        seen.add(frame)
+        return int(value[frame])
+
+    refine(
+        0,
+        74,
+        read,
+        lambda low, high: False,  # noqa: ARG005 - of the protocol
+        lambda low, high: [k for k in likely if low < k <= high],
+        finest=finest,
+    )
+    assert {0, 74} <= seen
+    frames = sorted(seen)
+    for low, high in itertools.pairwise(frames):
+        agree = value[low] == value[high]
+        assert high - low <= (STRIDE if agree else finest)
+
+
+def test_a_known_change_needs_few_readings() -> None:
+    """One change at a hint among 75 settled key frames: both ends and both sides of it are read."""
+    seen = set()
+
+    def read(frame: int) -> bool:
+        seen.add(frame)
+        return frame >= 52
+
+    refine(0, 74, read, lambda low, high: True, lambda low, high: [52])  # noqa: ARG005
+    assert seen == {0, 51, 52, 74}
+
+
+def doubtful_plate() -> np.ndarray:
+    """A plate with a hole of four particles that only the window for smaller holes sees."""
+    low, high = (-0.012, -0.012, 0), (0.012, 0.012, 0.008)
+    return lattice(low, high, lambda g: np.hypot(g[:, 0], g[:, 1]) > 0.0025)
+
+
+@pytest.mark.parametrize("merges", [0, 1])
+def test_a_small_hole_is_a_doubt_only_after_a_merge(merges: int) -> None:
+    """A hole near the smallest size is unsure where a merge can have made it, else it is a pore."""
+    x = doubtful_plate()
+    bonds, apart = decode(near_keys(x, 2 * SPACING), len(x)), np.zeros((0, 2), np.int64)
+    reading = read_component(x, bonds, apart, SPACING, WINDOW)
+    assert (reading.floor, reading.genus, reading.ceiling) == (0, 0, 1)
+    shapes = read_shapes(
+        np.stack([x, x, x]).astype(np.float32),
+        [np.zeros(len(x), np.uint8)] * 3,
+        [bonds] * 3,
+        [apart] * 3,
+        loops=[0, merges, 0],
+        changed=[False, bool(merges), False],
+        crossed=[False] * 3,
+        spacing=SPACING,
+        window=WINDOW,
+    )
+    assert [own[0].genus for own in shapes] == [0, 0, 0]
+    assert [own[0].sure for own in shapes] == [merges == 0] * 3
+
+
+def frame_of(labels: np.ndarray) -> FrameTopology:
+    number = int(labels[labels != STRAY].max()) + 1
+    return FrameTopology(
+        labels=labels,
+        genus=(0,) * number,
+        graph=SceneGraph(
+            positions=np.zeros((number, 3), np.float32),
+            components=np.arange(number, dtype=np.uint8),
+            particles=np.bincount(labels[labels != STRAY]).astype(np.int32),
+            edges=np.zeros((0, 2), np.int32),
+        ),
+        contacts=np.zeros((0, 2), np.int32),
+    )
+
+
+def test_what_stays_is_related_to_itself_alone() -> None:
+    """Equal labels and labels that differ by one stray particle give the same groups."""
+    labels = np.repeat(np.arange(3, dtype=np.uint8), [30, 40, 50])
+    stray = labels.copy()
+    stray[0] = STRAY
+    assert groups(frame_of(labels), frame_of(labels)) == [([k], [k]) for k in range(3)]
+    assert groups(frame_of(stray), frame_of(labels)) == [([k], [k]) for k in range(3)]
