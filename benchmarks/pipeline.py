@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from doughdata import registry
+from doughdata.mesh.sequence import mesh_frames
 from doughdata.scene_work import simulate_scene
 from doughdata.scenes.tools import PRESETS
 from doughdata.sim.mpm import MpmSimulator, draft
@@ -70,12 +71,7 @@ def run(scene: Scene, *, frames: int, mesher: str) -> dict[str, Any]:
     make = registry.load("meshers", mesher)()
     simulate, particles = timed(lambda: simulate_scene(simulator, scene))
     checked, topology = timed(lambda: check.check(scene, particles))
-    meshed, meshes = timed(
-        lambda: [
-            make.mesh(positions, frame, spacing=particles.spacing)
-            for positions, frame in zip(particles.positions, topology.frames, strict=True)
-        ]
-    )
+    meshed, meshes = timed(lambda: mesh_frames(make, particles, topology))
     total = simulate + checked + meshed
     faces = [sum(len(mesh.faces) for mesh in frame.meshes) for frame in meshes]
     return {

@@ -125,7 +125,8 @@ def over_scenes(
     """The rows of a task for sampled scenes, in order; `log` gets each as it comes."""
     known: dict[int, dict[str, Any]] = {}
     if log is not None and log.exists():
-        entries = map(json.loads, log.read_text().splitlines())
+        with log.open() as file:
+            entries = [json.loads(line) for line in file]
         known = {one["number"]: one["row"] for one in entries if one["task"] == task.__name__}
     left = [number for number in range(count) if number not in known]
     for number, row in zip(left, pool.map(task, left), strict=True):

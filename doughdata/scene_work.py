@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 
 from doughdata.dataset import Dataset
+from doughdata.mesh.sequence import mesh_frames
 from doughdata.render.depth import DepthStage
 from doughdata.seeds import seed_sequence
 from doughdata.stages import BatchSimulator, Mesher, Sensor, Simulator, TopologyCheck
@@ -45,10 +46,7 @@ def check_scene(check: TopologyCheck, scene: Scene, dataset: Dataset, index: int
 def mesh_scene(mesher: Mesher, dataset: Dataset, index: int) -> list[ComponentMeshes]:
     """Mesh every key frame of the particles and labels that the dataset holds."""
     particles, topology = dataset.read_particles(index), dataset.read_topology(index)
-    return [
-        mesher.mesh(positions, frame, spacing=particles.spacing)
-        for positions, frame in zip(particles.positions, topology.frames, strict=True)
-    ]
+    return mesh_frames(mesher, particles, topology)
 
 
 def render_scene(
