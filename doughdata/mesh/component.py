@@ -29,7 +29,8 @@ class SolidConfig:
 
     cells_per_spacing: float = 1.6  # cell size = spacing / this
     closing_radius: float = 1.5  # gaps narrower than about twice this are closed
-    other_radii: tuple[float, ...] = (1.75, 2.0, 1.25)  # tried where the genus is not the label's
+    # tried in this order where the genus is not that of the label
+    other_radii: tuple[float, ...] = (1.75, 2.0, 1.25, 2.25, 2.5, 1.625, 1.875)
     level_low: float = 0.3  # least distance of the surface from the outermost particles
     level_high: float = 1.0  # greatest
     lump_share: float = 0.02  # smaller lumps of a component, against its largest, are dropped

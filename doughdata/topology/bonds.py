@@ -13,6 +13,7 @@ from doughdata.topology.pairs import connected, decode, is_member, lengths, near
 __all__ = ["BondGraph"]
 
 BOTH = 1 << 20  # more than any particle has neighbours
+MANY = 5000  # contacts
 
 
 class BondGraph:
@@ -99,10 +100,11 @@ class BondGraph:
         self.contact[new] = True
         # With a neighbour bonded to both ends, these are of one component already: no pair across
         # components is ever bonded here.
-        whole = connected(self.bonded_pairs(self.reach), self.count)
         pending = np.flatnonzero(self.contact)
-        ends = self.pairs.take(pending, axis=0)
-        pending = pending[whole.take(ends[:, 0]) == whole.take(ends[:, 1])]
+        if len(pending) > MANY:  # worth finding the components
+            whole = connected(self.bonded_pairs(self.reach), self.count)
+            ends = self.pairs.take(pending, axis=0)
+            pending = pending[whole.take(ends[:, 0]) == whole.take(ends[:, 1])]
         pending = pending[~self.locked(pending)]
         self._mark(self._inherit(pending, limit[pending]), contact=False)
 

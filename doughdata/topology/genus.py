@@ -26,7 +26,7 @@ from doughschemas import SceneGraph
 __all__ = ["Shape", "read_shapes", "scene_graph"]
 
 STILL = 0.1  # [spacings]; a component that moved less than this keeps its shape
-RETHIN = 2.0  # [spacings]; a component that moved more than this gets a new skeleton
+RETHIN = 4.0  # [spacings]; a component that moved more than this gets a new skeleton
 FLICKER = 4  # key frames; a shorter change is smoothed
 CROSSING = 12  # key frames between two looks that agree while fingers only cross particles
 LOOK = 1.75  # [spacings], of the closing that is looked at between two readings

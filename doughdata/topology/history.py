@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FrameState", "History"]
 
-STILL = 0.02  # [spacings]; in a key frame that moved less nothing can have changed
+STILL = 0.1  # [spacings]; where all moved less since the graph was made nothing can have changed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

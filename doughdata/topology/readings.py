@@ -16,9 +16,10 @@ from doughdata.topology.pairs import encode, lengths
 from doughdata.topology.solids import Closing, Solid, solid_genus
 from doughdata.topology.walls import find_walls
 
-__all__ = ["LoopWindow", "Reading", "read_component", "solid_with"]
+__all__ = ["LoopWindow", "Reading", "has_no_loop", "read_component", "solid_with"]
 
 BRIDGE = SIDE_BOND  # [spacings]; a longer pair without a bond may lie across a gap
+EARLIER = 0.2  # [spacings]; by so much radii are tried before a loop's death
 CUT = 2.0  # [spacings], radius of balls that bridge the cut of a blade
 # [spacings], of closings; the first with the genus that was read gives the skeleton.
 SOLID_RADII = (1.75, 1.5, 2.0, 2.25)
@@ -66,6 +67,17 @@ def read_component(
     window: LoopWindow,
 ) -> Reading:
     """Read one component [m]; `bonds` are its short ones, `contacts` its unmerged near pairs."""
+    if not len(contacts) and has_no_loop(x, spacing, window):
+        return Reading(
+            genus=0,
+            lowest=0,
+            highest=0,
+            floor=0,
+            ceiling=0,
+            parted=False,
+            firm=True,
+            walls=np.zeros((0, 2), np.int64),
+        )
     widest = 2 * max(death for _, death in window.nested)
     grown = AlphaComplex.of(x / spacing)
     near = grown.ends[grown.edges <= widest / 2]
@@ -88,6 +100,17 @@ def read_component(
         firm=len({*opened, *least}) == 1,
         walls=walls,
     )
+
+
+def has_no_loop(x: Float64[np.ndarray, "members 3"], spacing: float, window: LoopWindow) -> bool:
+    """Whether the balls leave no loop, from well before the deaths of all windows to the last.
+
+    Then none lasts through any window. On voxels, at a sixth of the cost of a tetrahedralisation.
+    """
+    deaths = [death for _, death in window.nested]
+    radii = np.linspace(min(deaths) - EARLIER, max(deaths), 3)
+    around = Closing(x, spacing, largest=max(deaths)).distance / spacing
+    return all(solid_genus(around < radius) == 0 for radius in radii)
 
 
 def solid_with(

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from doughdata.topology.alpha import AlphaComplex
 from doughdata.topology.dynamic import DynamicConfig
 from doughdata.topology.genus import read_shapes
 from doughdata.topology.pairs import decode, near_keys
-from doughdata.topology.readings import LoopWindow, read_component
+from doughdata.topology.readings import LoopWindow, has_no_loop, read_component
 from doughdata.topology.runs import STRIDE, refine
 from doughdata.topology.tracking import groups
 from doughschemas import STRAY, FrameTopology, SceneGraph
@@ -117,3 +118,28 @@ def test_what_stays_is_related_to_itself_alone() -> None:
     stray[0] = STRAY
     assert groups(frame_of(labels), frame_of(labels)) == [([k], [k]) for k in range(3)]
     assert groups(frame_of(stray), frame_of(labels)) == [([k], [k]) for k in range(3)]
+
+
+def holed_plate(seed: int) -> np.ndarray:
+    """A thin plate that was drilled through, 2 to 9 mm wide, at up to two places."""
+    rng = np.random.default_rng(seed)
+    number = rng.integers(0, 3)
+    middle, radius = rng.uniform(-0.014, 0.014, (number, 2)), rng.uniform(0.001, 0.0045, number)
+
+    def inside(g: np.ndarray) -> np.ndarray:
+        away = np.linalg.norm(g[:, None, :2] - middle, axis=2)
+        return (away > radius).all(axis=1)
+
+    return lattice((-0.02, -0.02, 0), (0.02, 0.02, 0.006), inside, seed=seed)
+
+
+def test_what_is_read_without_a_tetrahedralisation_has_no_loop() -> None:
+    """A body read as filled, without its alpha complex, has no loop in the alpha complex either."""
+    filled = 0
+    for seed in range(40):
+        x = holed_plate(seed)
+        lasting = AlphaComplex.of(x / SPACING).lasting(WINDOW.nested, without=np.zeros(0, np.int64))
+        if has_no_loop(x, SPACING, WINDOW):
+            filled += 1
+            assert lasting == [0, 0, 0]
+    assert 5 < filled < 35
