@@ -1,12 +1,12 @@
 """Genus and scene graph of every component in every key frame.
 
 A genus is the number of loops that last while balls around the particles grow (`readings.py`). It
-is read at few key frames and only looked at more closely where two readings differ, or where
-something was merged or cut. It changes when a reading is firm (one value, also for holes a little
+is read at few key frames, more closely where two readings differ, or where something was merged or
+cut; in between, solids are looked at. It changes when a reading is firm (one value, also for holes a little
 smaller or larger) or leaves no room for the genus before, and lasts for four key frames or to the
 end of the scene; it grows only if something was merged within one piece: a cut takes handles away,
 and none comes from nothing. Else the genus before stays. A key frame is unsure if its readings
-exclude its genus.
+exclude its genus; handles that only holes of some sizes show and no merge explains do not.
 """
 
 import itertools
@@ -184,14 +184,20 @@ class _Track:
     def _fits(self, frame: int, genus: int) -> bool:
         """Whether the reading of a key frame leaves this genus possible.
 
-        More handles than that, not seen for all sizes of holes, are pores and creases unless a
-        merge explains them.
+        More handles than merges explain, not seen for all sizes of holes, are pores and creases.
         """
         reading = self.readings[frame]
         if reading.lowest <= genus <= reading.highest:
             return True
-        near = slice(max(self.first - FLICKER, 0), frame + FLICKER)
-        return reading.floor == genus and not any(self.loops[near])
+        return reading.floor == genus >= self._explained(frame)
+
+    def _explained(self, frame: int) -> int:
+        """Most handles that a firm reading before and the merges within one piece since explain."""
+        firm = {f: r.genus for f, r in self.readings.items() if r.firm and f <= frame}
+        if not firm:
+            firm = {self.first: self.readings[frame].floor}
+        until = frame + FLICKER  # a handle may be read a little before or after its merge
+        return min(g + sum(self.loops[max(f - FLICKER, 0) : until]) for f, g in firm.items())
 
     def _holds(self, low: int, high: int, genus: int | None = None) -> bool:
         """Whether a span of equal readings is no flicker, and firm or without room for `genus`."""
