@@ -5,7 +5,7 @@ blocks in the encoder, four components and the outliers, genus 0 to 2 and *empty
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from doughschemas import BadInputError, UnknownNameError
@@ -15,7 +15,6 @@ __all__ = [
     "ModelConfig",
     "classic",
     "config_from_json",
-    "config_to_json",
     "micro",
     "modern",
     "paper",
@@ -138,13 +137,8 @@ def preset(name: str) -> ModelConfig:
     return PRESETS[name]()
 
 
-def config_to_json(config: ModelConfig) -> dict[str, Any]:
-    """Plain JSON of a config."""
-    return asdict(config)
-
-
 def config_from_json(data: Mapping[str, Any]) -> ModelConfig:
-    """The config that `config_to_json` wrote.
+    """The config of plain JSON, as weights carry it.
 
     Raises:
         BadInputError: a field that this release does not know.

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import torch
 from jaxtyping import Float
@@ -10,14 +11,29 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from doughdata.dataset import Dataset
-from doughdata.torch import DoughDataset, DoughSequences, EndlessSampler
+from doughdata.torch import EndlessSampler
 from doughdata.torch.views import COMPLETE
 from doughnet.config import ModelConfig
 from doughnet.stages import Batch
 
-__all__ = ["KEY_FRAMES", "EndlessBatches", "LoaderConfig", "class_weights", "key_frames"]
+__all__ = ["KEY_FRAMES", "EndlessBatches", "LoaderConfig", "Samples", "class_weights", "key_frames"]
 
 KEY_FRAMES = tuple(range(5, 70, 5))  # the 13 of the paper, of 75
+
+
+class Samples(Protocol):
+    """A map-style dataset of (epoch, index) that says where its samples come from."""
+
+    source: Dataset
+    sensor: str
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        ...
+
+    def __getitem__(self, index: tuple[int, int], /) -> dict[str, Tensor]:
+        """One sample."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +62,7 @@ class EndlessBatches:
 
     def __init__(
         self,
-        dataset: DoughDataset | DoughSequences,
+        dataset: Samples,
         config: LoaderConfig,
         *,
         rank: int = 0,
@@ -65,8 +81,9 @@ class EndlessBatches:
             rank=self.rank,
             world_size=self.world_size,
         )
+        samples: Any = self.dataset
         loader = DataLoader(
-            self.dataset,
+            samples,
             batch_size=config.batch_size,
             sampler=sampler,
             num_workers=config.workers,

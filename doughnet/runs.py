@@ -1,7 +1,7 @@
-"""Both stages from a dataset to a folder of weights, as the commands run them.
+"""The stages from a dataset to a folder of weights, as the commands run them.
 
-OUT/autoencoder and OUT/dynamics hold what each stage leaves: weights.safetensors with config.json,
-training.pt (to resume), metrics.csv and tensorboard/.
+OUT/autoencoder, OUT/dynamics and OUT/gnn (a baseline) hold what each stage leaves:
+weights.safetensors with config.json, training.pt (to resume), metrics.csv and tensorboard/.
 """
 
 from collections.abc import Mapping
@@ -11,10 +11,14 @@ from typing import Any
 
 import torch
 
+from doughdata.dataset import open_dataset
 from doughdata.torch import DoughDataset, DoughSequences
 from doughdata.torch.views import COMPLETE
+from doughnet.baselines.particle_data import ParticleWindows
+from doughnet.baselines.particle_net import ParticleConfig, ParticleNet
+from doughnet.baselines.particle_stage import ParticleStage
 from doughnet.config import preset
-from doughnet.data import EndlessBatches, LoaderConfig, class_weights, key_frames
+from doughnet.data import EndlessBatches, LoaderConfig, Samples, class_weights, key_frames
 from doughnet.model import DoughNet
 from doughnet.recipes import recipe
 from doughnet.stages import AutoencoderStage, DynamicsStage, Stage
@@ -24,7 +28,7 @@ from doughschemas import BadInputError, UnknownNameError
 
 __all__ = ["STAGES", "RunConfig", "find_weights", "train_stage"]
 
-STAGES = ("autoencoder", "dynamics")
+STAGES = ("autoencoder", "dynamics", "gnn")
 PRETRAINED = Path(__file__).parent / "pretrained"  # one folder a preset; a wheel carries it
 SHIPPED = ("small", "tiny", "micro")  # the first that is there is the default
 
@@ -65,6 +69,9 @@ def train_stage(
     if (out / STATE).exists() and not config.resume:
         raise BadInputError(f"{out} holds a training: --resume goes on, or give another --out")
     torch.manual_seed(config.train.seed)
+    if name == "gnn":
+        stage, data, frames = _particles(config)
+        return _fit(stage, data, frames, {}, config, fabric, listener)
     model, before = _model(name, config)
     how = recipe(config.recipe)
     sensor = COMPLETE if how.complete else config.sensor
@@ -76,13 +83,24 @@ def train_stage(
     views = DoughDataset(config.dataset, **common)
     frames = key_frames(views.source, sensor)
     weights = class_weights(views.source, model.config, split=config.split, frames=frames)
-    stage: Stage
     if name == "autoencoder":
-        data = DoughDataset(config.dataset, **common)  # every view that was rendered
-        stage = AutoencoderStage(model, class_weights=weights)
+        data: Samples = DoughDataset(config.dataset, **common)  # every view that was rendered
+        stage: Stage = AutoencoderStage(model, class_weights=weights)
     else:
         data = _sequences(config.dataset, frames, common, length=1 + how.steps)
         stage = DynamicsStage(model, class_weights=weights, explicit=how.explicit)
+    return _fit(stage, data, frames, before, config, fabric, listener)
+
+
+def _fit(
+    stage: Stage,
+    data: Samples,
+    frames: tuple[int, ...],
+    before: Mapping[str, Any],
+    config: RunConfig,
+    fabric: Any,
+    listener: Listener | None,
+) -> Fitted:
     batches = EndlessBatches(
         data, config.loader, rank=fabric.global_rank, world_size=fabric.world_size
     )
@@ -92,11 +110,22 @@ def train_stage(
         _budget(config, len(data) // fabric.world_size),
         config=config.train,
         fabric=fabric,
-        out=out,
+        out=config.out / stage.name,
         resume=config.resume,
-        provenance=_provenance(name, config, data, frames, before),
+        provenance=_provenance(stage.name, config, data, frames, before),
         listener=listener,
     )
+
+
+def _particles(config: RunConfig) -> tuple[Stage, Samples, tuple[int, ...]]:
+    """The baseline's network and its windows of tracked particles."""
+    with open_dataset(config.dataset) as source:
+        frames = key_frames(source, COMPLETE)
+    sizes = ParticleConfig()
+    data = ParticleWindows(
+        config.dataset, config=sizes, frames=frames, split=config.split, seed=config.loader.seed
+    )
+    return ParticleStage(ParticleNet(sizes)), data, frames
 
 
 def find_weights(folder: str | Path | None = None) -> Path:
@@ -168,13 +197,13 @@ def _budget(config: RunConfig, samples: int) -> Budget:
 def _provenance(
     name: str,
     config: RunConfig,
-    data: DoughDataset | DoughSequences,
+    data: Samples,
     frames: tuple[int, ...],
     before: Mapping[str, Any],
 ) -> dict[str, Any]:
     """What is written beside the weights: enough to train them again."""
     return {
-        "preset": config.preset if name == "autoencoder" else before["autoencoder"]["preset"],
+        "preset": before["autoencoder"]["preset"] if name == "dynamics" else config.preset,
         "stage": name,
         "recipe": config.recipe,
         "data": {

@@ -4,7 +4,7 @@ A stage is a module whose `forward(batch)` gives the losses of a batch. A batch 
 `doughdata.torch` serves it; a dynamics batch has a second axis of frames.
 """
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from jaxtyping import Float, Int
@@ -16,7 +16,15 @@ from doughnet.folded import fold
 from doughnet.losses import IGNORED, latent_loss, shape_loss
 from doughnet.model import DoughNet
 
-__all__ = ["AutoencoderStage", "Batch", "DynamicsStage", "Stage", "genus_classes", "query_classes"]
+__all__ = [
+    "AutoencoderStage",
+    "Batch",
+    "DynamicsStage",
+    "Losses",
+    "Stage",
+    "genus_classes",
+    "query_classes",
+]
 
 MATCH_EVERY = 4  # one query in so many suffices to tell which mask is which component
 Batch = dict[str, Tensor]
@@ -27,7 +35,7 @@ class Stage(Protocol):
     """What the training loop needs to know."""
 
     name: str
-    model: DoughNet
+    model: Any  # a module that was made from its `config`, a dataclass
 
     def __call__(self, batch: Batch, *, seed: int) -> Losses:
         """Losses of a batch; `loss` is minimised, the others are logged."""

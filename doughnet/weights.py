@@ -3,21 +3,42 @@
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import torch
+from torch import nn
 
-from doughnet.config import config_from_json, config_to_json
+from doughnet.config import config_from_json
 from doughnet.extras import train_package
 from doughnet.model import DoughNet
 from doughschemas import BadInputError
 
-__all__ = ["TENSORS", "Weights", "load_weights", "save_weights", "write_atomically"]
+__all__ = [
+    "TENSORS",
+    "Configured",
+    "Stored",
+    "Weights",
+    "load_weights",
+    "read_weights",
+    "save_weights",
+    "write_atomically",
+]
 
 CONFIG, TENSORS = "config.json", "weights.safetensors"
 FORMAT = 1
+Model = TypeVar("Model", bound=nn.Module)
+
+
+class Configured(Protocol):
+    """A torch module that was made from a config, a dataclass of plain values."""
+
+    config: Any
+
+    def state_dict(self) -> dict[str, Any]:
+        """Its tensors by name."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,8 +49,30 @@ class Weights:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stored:
+    """Tensors on disk and what they are of."""
+
+    path: Path
+    config: Mapping[str, Any]
+    provenance: Mapping[str, Any]
+    tensors: dict[str, torch.Tensor]  # float32
+
+    def into(self, model: Model) -> Model:
+        """A model of this config with these tensors, ready to predict.
+
+        Raises:
+            BadInputError: they do not fit.
+        """
+        try:
+            model.load_state_dict(self.tensors)
+        except RuntimeError as error:
+            raise BadInputError(f"{self.path} does not fit its own config: {error}") from error
+        return model.eval().requires_grad_(False)
+
+
 def save_weights(
-    model: DoughNet,
+    model: Configured,
     folder: Path,
     *,
     provenance: Mapping[str, Any],
@@ -46,7 +89,7 @@ def save_weights(
     save = train_package("safetensors.torch").save
     state = model.state_dict()
     tensors = {name: value.to("cpu", dtype).contiguous() for name, value in state.items()}
-    document = {"format": FORMAT, "model": config_to_json(model.config), **provenance}
+    document = {"format": FORMAT, "model": asdict(model.config), **provenance}
     text = json.dumps(document, indent=2, allow_nan=False)
     folder.mkdir(parents=True, exist_ok=True)
     # The tensors carry the config as well: they alone suffice, and never belong to another one.
@@ -55,35 +98,42 @@ def save_weights(
 
 
 def load_weights(folder: str | Path) -> Weights:
-    """Read what `save_weights` wrote; the model computes in float32, ready to predict.
+    """Read what `save_weights` wrote of a DoughNet; it computes in float32, ready to predict.
 
     Raises:
         BadInputError: no weights there, damaged ones, or ones of another model.
+    """
+    stored = read_weights(folder)
+    model = stored.into(DoughNet(config_from_json(stored.config)))
+    return Weights(model=model, provenance=stored.provenance)
+
+
+def read_weights(folder: str | Path, *, stage: str = "autoencoder") -> Stored:
+    """Read what `save_weights` wrote, of whatever model.
+
+    Raises:
+        BadInputError: no weights there (train `stage`), or damaged ones.
     """
     safetensors = train_package("safetensors")
     path = Path(folder)
     path = path / TENSORS if path.is_dir() else path
     if not path.is_file():
         raise BadInputError(
-            f"{folder} holds no {TENSORS}; train a model with `doughnet train autoencoder`"
+            f"{folder} holds no {TENSORS}; train a model with `doughnet train {stage}`"
         )
     try:
         with safetensors.safe_open(path, framework="pt") as file:
             document = json.loads((file.metadata() or {})["config"])
-            state = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+            tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+            config = document["model"]
     except (safetensors.SafetensorError, KeyError, ValueError, OSError) as error:
         raise BadInputError(f"{path} is damaged or no weights of doughnet: {error}") from error
     if document.get("format") != FORMAT:
         raise BadInputError(
             f"{path} has format {document.get('format')}, this release reads {FORMAT}"
         )
-    model = DoughNet(config_from_json(document["model"]))
-    try:
-        model.load_state_dict(state)
-    except RuntimeError as error:
-        raise BadInputError(f"{path} does not fit its own config: {error}") from error
     rest = {k: v for k, v in document.items() if k not in ("format", "model")}
-    return Weights(model=model.eval().requires_grad_(False), provenance=rest)
+    return Stored(path=path, config=config, provenance=rest, tensors=tensors)
 
 
 def write_atomically(path: Path, data: bytes) -> None:

@@ -1,5 +1,6 @@
 """`doughnet evaluate`: the table of shapes and topologies, reconstructed and predicted."""
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -20,7 +21,7 @@ NAME = "evaluate"
 HELP = "Score a model on the test split: VIoU, CIoU, AccC, AccG at 1 mm, per frame, in percent."
 EPILOG = "Example: doughnet evaluate --weights doughnet-run --dataset dough-dataset --json"
 ROWS = ("reconstruction", "ceiling", "single_step", "full_sequence", "final", "copy_first_frame")
-METHODS = ("doughnet", "vpm", "mpm", "copy")
+METHODS = ("doughnet", "vpm", "mpm", "gnn", "copy")
 COLUMNS = ("viou", "ciou", "accc", "accg", "balanced_accg")
 
 
@@ -31,7 +32,7 @@ def command(
         str,
         typer.Option(
             metavar="M",
-            help="doughnet; or vpm, mpm, copy: full sequences predicted another way.",
+            help="doughnet; or vpm, mpm, gnn, copy: full sequences predicted another way.",
         ),
     ] = "doughnet",
     split: Annotated[str, typer.Option(metavar="S", help="test, train or all.")] = "test",
@@ -73,7 +74,7 @@ def command(
         if method == "doughnet":
             table = evaluate(loaded.model, sequences, progress=progress)
         else:
-            made = _method(method, loaded.model, sequences)
+            made = _method(method, loaded.model, sequences, folder)
             table = evaluate_method(made, sequences, progress=progress)
     table = {"dataset": dataset, "weights": str(folder), "split": split, **table}
     if as_json:
@@ -84,13 +85,16 @@ def command(
         _print_method(table)
 
 
-def _method(name: str, model: Any, sequences: Any) -> Any:
-    from doughcli.net_player import ScenePlayer
+def _method(name: str, model: Any, sequences: Any, folder: Path) -> Any:
+    from doughcli.net_player import ScenePlayer, dough_around
+    from doughnet.baselines.gnn import Gnn, load_particle_net
     from doughnet.baselines.methods import Copy, Vpm
     from doughnet.baselines.simulated import Simulated
 
     if name == "mpm":
         return Simulated(model, ScenePlayer(sequences.source))
+    if name == "gnn":
+        return Gnn(model, load_particle_net(folder), dough_around)
     return Vpm(model) if name == "vpm" else Copy()
 
 

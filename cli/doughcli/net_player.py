@@ -6,14 +6,25 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float32
+
 from doughcli.build import build_stages
 from doughcli.net_trial import shape_bodies
+from doughdata import registry
 from doughdata.dataset import Dataset, Frame
 from doughdata.scene_work import simulate_scene
 from doughdata.scenes.limits import check_scene
-from doughschemas import BadInputError, LabelGrid, Scene
+from doughschemas import (
+    BadInputError,
+    ComponentMeshes,
+    FrameTopology,
+    LabelGrid,
+    Scene,
+    SceneGraph,
+)
 
-__all__ = ["ScenePlayer"]
+__all__ = ["ScenePlayer", "dough_around"]
 
 
 class ScenePlayer:
@@ -63,3 +74,26 @@ class ScenePlayer:
             made = mesher.mesh(particles.positions[number], own, spacing=particles.spacing)
             found.append((made.label_grid, own.genus))
         return found
+
+
+def dough_around(points: Float32[np.ndarray, "particles 3"], spacing: float) -> LabelGrid:
+    """Labels on a 1 mm grid of the dough that particles [m] of one piece stand for.
+
+    Raises:
+        BadInputError: positions that are not finite.
+    """
+    count = len(points)
+    one = FrameTopology(
+        labels=np.zeros(count, np.uint8),
+        genus=(0,),
+        graph=SceneGraph(
+            positions=points.mean(axis=0, keepdims=True),
+            components=np.zeros(1, np.uint8),
+            particles=np.array([count], np.int32),
+            edges=np.zeros((0, 2), np.int32),
+        ),
+        contacts=np.zeros((0, 2), np.int32),
+    )
+    mesher = registry.load("meshers", "dual-contouring")()
+    made: ComponentMeshes = mesher.mesh(points, one, spacing=spacing)
+    return made.label_grid

@@ -11,7 +11,10 @@ from doughcli.options import DATASET_DEFAULT, DatasetOption, JsonOption, emit_js
 __all__ = ["command"]
 
 NAME = "train"
-HELP = "Train a stage: first 'autoencoder', then 'dynamics' with the same --out."
+HELP = (
+    "Train a stage: first 'autoencoder', then 'dynamics' with the same --out; "
+    "or 'gnn', a particle network to compare with."
+)
 EPILOG = (
     "Example: [cyan]doughnet train autoencoder --preset micro --minutes 30 --out net[/], then "
     "[cyan]doughnet train dynamics --minutes 30 --out net[/]"
@@ -20,7 +23,7 @@ DEFAULT_MINUTES = 60.0
 
 
 def command(
-    stage: Annotated[str, typer.Argument(metavar="STAGE", help="autoencoder or dynamics.")],
+    stage: Annotated[str, typer.Argument(metavar="STAGE", help="autoencoder, dynamics or gnn.")],
     dataset: DatasetOption = DATASET_DEFAULT,
     preset: Annotated[
         str, typer.Option(metavar="P", help="micro, tiny, small, paper, or one with -classic.")

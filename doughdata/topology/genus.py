@@ -2,11 +2,11 @@
 
 A genus is the number of loops that last while balls around the particles grow (`readings.py`). It
 is read at few key frames, more closely where two readings differ, or where something was merged or
-cut; in between, solids are looked at. It changes when a reading is firm (one value, also for holes a little
-smaller or larger) or leaves no room for the genus before, and lasts for four key frames or to the
-end of the scene; it grows only if something was merged within one piece: a cut takes handles away,
-and none comes from nothing. Else the genus before stays. A key frame is unsure if its readings
-exclude its genus; handles that only holes of some sizes show and no merge explains do not.
+cut; in between, solids are looked at. It changes when a reading is firm (one value, also for holes
+a little smaller or larger) or leaves no room for the genus before, and lasts for four key frames or
+to the end of the scene; it grows only if something was merged within one piece: a cut takes handles
+away, and none comes from nothing. Else the genus before stays. A key frame is unsure if its
+readings exclude its genus; handles that only holes of some sizes show and no merge explains do not.
 """
 
 import itertools

@@ -173,6 +173,20 @@ def test_other_methods_are_scored(trained: Path, scenes: str, method: str) -> No
     assert "vpm" in refused.stderr
 
 
+def test_the_particle_network_is_trained_and_scored(trained: Path, scenes: str) -> None:
+    """It is missed in one line before it was trained; then it has the rows of any other method."""
+    asked = ("evaluate", "--dataset", scenes, "--weights", trained, "--split", "train",
+             "--sensor", "none", "--method", "gnn", "--json")  # fmt: skip
+    missed = doughnet(*asked, cwd=trained, code=2)
+    assert "doughnet train gnn" in missed.stderr
+    done = doughnet("train", "gnn", "--dataset", scenes, "--out", trained, "--batch-size", 2,
+                    "--epochs", 2, "--workers", 0, "--json", cwd=trained)  # fmt: skip
+    assert json.loads(done.stdout)["steps"] == 2
+    table = json.loads(doughnet(*asked, cwd=trained).stdout)
+    assert (table["method"], table["scenes"]) == ("gnn", 2)
+    assert set(table["final"]) == set(table["full_sequence"])
+
+
 def test_analyze_draws_and_measures(trained: Path, scenes: str, tmp_path: Path) -> None:
     """Pictures and one JSON file; changes are found among the rendered key frames."""
     where = ("--dataset", scenes, "--weights", trained, "--split", "train", "--sensor", "none")
