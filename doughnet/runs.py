@@ -26,9 +26,10 @@ from doughnet.train import STATE, Budget, Fitted, Listener, TrainConfig, fit
 from doughnet.weights import TENSORS, load_weights
 from doughschemas import BadInputError, UnknownNameError
 
-__all__ = ["STAGES", "RunConfig", "find_weights", "train_stage"]
+__all__ = ["MODEL_STAGES", "STAGES", "RunConfig", "find_weights", "train_stage"]
 
-STAGES = ("autoencoder", "dynamics", "gnn")
+MODEL_STAGES = ("autoencoder", "dynamics")
+STAGES = (*MODEL_STAGES, "gnn")
 PRETRAINED = Path(__file__).parent / "pretrained"  # one folder a preset; a wheel carries it
 SHIPPED = ("small", "tiny", "micro")  # the first that is there is the default
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from doughdata.registry import require_package
-from doughnet.runs import PRETRAINED, SHIPPED, STAGES, find_weights
+from doughnet.runs import MODEL_STAGES, PRETRAINED, SHIPPED, find_weights
 from doughnet.weights import TENSORS, load_weights, save_weights
 
 ROWS = ("reconstruction", "ceiling", "single_step", "full_sequence", "final", "copy_first_frame")
@@ -34,9 +34,9 @@ def draw_curves(run: Path) -> dict[str, dict[str, float]]:
     require_package("matplotlib", extra="view").use("agg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(1, len(STAGES), figsize=(10, 4), layout="constrained")
+    figure, axes = pyplot.subplots(1, len(MODEL_STAGES), figsize=(10, 4), layout="constrained")
     last = {}
-    for axis, stage in zip(axes, STAGES, strict=True):
+    for axis, stage in zip(axes, MODEL_STAGES, strict=True):
         with (run / stage / "metrics.csv").open(newline="") as file:
             rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
         for name in sorted(rows[0].keys() - {"step", "learning_rate"}):
