@@ -122,7 +122,7 @@ class _Track:
     def _looks_like(self, frame: int, genus: int) -> bool:
         """Whether a solid of the component, with nothing kept open, has this genus.
 
-        A tenth of the cost of a reading, and enough where the readings before and after agree.
+        Cheaper than a reading, and enough where the readings before and after agree.
         """
         x = self._at(frame, self.members[frame - self.first])
         solid = Closing(x, self.spacing, largest=LOOK).solid(LOOK)

@@ -105,7 +105,7 @@ def read_component(
 def has_no_loop(x: Float64[np.ndarray, "members 3"], spacing: float, window: LoopWindow) -> bool:
     """Whether the balls leave no loop, from well before the deaths of all windows to the last.
 
-    Then none lasts through any window. On voxels, at a sixth of the cost of a tetrahedralisation.
+    Then none lasts through any window. On voxels, without a tetrahedralisation.
     """
     deaths = [death for _, death in window.nested]
     radii = np.linspace(min(deaths) - EARLIER, max(deaths), 3)

@@ -28,7 +28,8 @@ SEED = 0
 class Gnn:
     """Predicts few particles and puts a surface around them; components come from distances.
 
-    Where the model sees no dough, the later key frames are empty; `failed` counts such scenes.
+    Where the model sees no dough, or the network's numbers overflow, the later key frames are
+    empty; `failed` counts such scenes.
     """
 
     name = "gnn"
@@ -47,9 +48,10 @@ class Gnn:
         labels, genus = self.model.decode(first[0], lattice).components()
         inside = torch.as_tensor(labels).reshape(-1) < len(genus)
         nodes = torch.nonzero(inside)[:, 0]
+        empty: Found = (np.zeros(lattice.shape, np.int64), [])
         if not len(nodes):
             self.failed += 1
-            return [(np.zeros(lattice.shape, np.int64), [])] * (len(frames) - 1)
+            return [empty] * (len(frames) - 1)
         count = self.net.config.particles
         spacing = spacing_of(len(nodes) * lattice.spacing**3, count)
         places = lattice.points(nodes)
@@ -59,16 +61,13 @@ class Gnn:
         found: list[Found] = []
         for step in range(len(frames) - 1):
             after = self.net(history[None], tool[None, step : step + 2], torch.tensor([spacing]))
+            if not after.isfinite().all():
+                self.failed += 1
+                return found + [empty] * (len(frames) - 1 - step)
             history = torch.cat([history[1:], after])
-            found.append(self._shape(after[0], spacing, lattice))
+            grid = self.surface(after[0].numpy(), spacing)
+            found.append(static_components(on_lattice(grid, lattice) != NO_COMPONENT))
         return found
-
-    def _shape(self, points: Tensor, spacing: float, lattice: Lattice) -> Found:
-        try:
-            grid = self.surface(points.numpy(), spacing)
-        except BadInputError:  # positions that are no numbers
-            return np.zeros(lattice.shape, np.int64), []
-        return static_components(on_lattice(grid, lattice) != NO_COMPONENT)
 
 
 def load_particle_net(folder: Path) -> ParticleNet:

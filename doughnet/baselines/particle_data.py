@@ -1,7 +1,6 @@
 """Windows of tracked particles for the graph network: history, tool, and what follows."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -16,13 +15,6 @@ from doughnet.baselines.particle_net import ParticleConfig
 from doughschemas import BadInputError
 
 __all__ = ["ParticleWindows", "finger_points", "spacing_of", "spread"]
-
-
-@dataclass(frozen=True, slots=True)
-class _Window:
-    scene: int
-    frames: tuple[int, ...]  # all key frames of the scene that are stepped through
-    now: int  # position of the present one among them
 
 
 class ParticleWindows(Dataset[dict[str, Tensor]]):
@@ -57,11 +49,9 @@ class ParticleWindows(Dataset[dict[str, Tensor]]):
         self.source, self.config, self.steps, self.seed = open_dataset(uri), config, steps, seed
         splits = self.source.scenes.select(["scene_index", "split"]).to_pylist()
         scenes = [row["scene_index"] for row in splits if split in (None, row["split"])]
-        self._windows = [
-            _Window(scene, tuple(frames), now)
-            for scene in scenes
-            for now in range(len(frames) - steps)
-        ]
+        self._frames = tuple(frames)
+        # scene, and position of the present key frame among those that are stepped through
+        self._windows = [(scene, now) for scene in scenes for now in range(len(frames) - steps)]
         if not self._windows:
             raise BadInputError(
                 f"{uri}: no scene of split {split!r} with {steps + 1} key frames or more"
@@ -83,15 +73,15 @@ class ParticleWindows(Dataset[dict[str, Tensor]]):
         epoch, index = index if isinstance(index, tuple) else (0, index)
         if not -len(self) <= index < len(self):
             raise IndexError(f"window {index} of {len(self)}")
-        window, config = self._windows[index], self.config
+        (scene, now), config = self._windows[index], self.config
         rng = np.random.default_rng(seed_sequence(self.seed, "particles", epoch, index))
-        past = [window.now - back for back in reversed(range(config.history))]
-        coming = list(range(window.now, window.now + self.steps + 1))
+        past = [now - back for back in reversed(range(config.history))]
+        coming = list(range(now, now + self.steps + 1))
         known = {
-            k: self.source.frame(scene=window.scene, frame=window.frames[k])
+            k: self.source.frame(scene=scene, frame=self._frames[k])
             for k in {*(max(k, 0) for k in past), *coming}
         }
-        all_of_it = known[window.now].particles
+        all_of_it = known[now].particles
         count = len(all_of_it.positions)
         start = int(rng.integers(count))
         chosen = spread(torch.tensor(all_of_it.positions), config.particles, start=start).numpy()
