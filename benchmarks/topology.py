@@ -20,7 +20,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Executor, ProcessPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 from topology_judges import mesh_genus, persistence_agrees
+from topology_sensitivity import Moved, threshold_sensitivity
 from topology_truth import SEEDS, Case, truth_table
 
 from doughdata.scene_work import simulate_scene
@@ -35,7 +36,7 @@ from doughdata.scenes import load_family
 from doughdata.scenes.tools import PRESETS
 from doughdata.sim.mpm import MpmSimulator
 from doughdata.sim.pull import MpmPullApart
-from doughdata.topology.dynamic import DynamicCheck, DynamicConfig
+from doughdata.topology.dynamic import DynamicCheck
 from doughschemas import Action, Body, Particles, Scene, Topology
 
 FAMILIES = ("rolls", "doughnut")
@@ -178,36 +179,11 @@ def shares(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def moved_thresholds() -> dict[str, DynamicConfig]:
-    """Every threshold moved by 20 %, one at a time."""
-    given = DynamicConfig()
-    values = {own.name: getattr(given, own.name) for own in fields(DynamicConfig)}
-    return {
-        f"{name} x {factor}": replace(given, **{name: value * factor})
-        for name, value in values.items()
-        if isinstance(value, float)
-        for factor in (0.8, 1.2)
-    }
-
-
 def sensitive_scene(number: int) -> dict[str, Any]:
     """The moved thresholds that change the final genera of one sampled scene."""
     scene = sampled(number)
-    particles = simulate_scene(MpmSimulator(), scene)
-
-    def end(config: DynamicConfig) -> list[int]:
-        topology = DynamicCheck(config, pull_apart=MpmPullApart()).check(scene, particles)
-        return sorted(topology.frames[-1].genus)
-
-    usual = end(DynamicConfig())
-    changed = [name for name, moved in moved_thresholds().items() if end(moved) != usual]
-    return {"scene": scene.scene_id, "genus": usual, "changed": changed}
-
-
-def threshold_sensitivity(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Share of scenes whose final components or genera change, by threshold moved by 20 %."""
-    changed = Counter(name for row in rows for name in row["changed"])
-    return {name: round(changed[name] / len(rows), 4) for name in moved_thresholds()}
+    moved = Moved(scene, simulate_scene(MpmSimulator(), scene))
+    return {"scene": scene.scene_id, "genus": moved.genus, "changed": moved.changed()}
 
 
 def main() -> None:

@@ -7,6 +7,7 @@ from importlib import import_module
 from io import StringIO
 from typing import Any
 
+from doughdata.sim.kernel_cache import kernel_cache
 from doughschemas import BadInputError, MissingPackageError
 
 __all__ = ["Bound", "check_arch", "gpu_present", "start", "ti"]
@@ -53,6 +54,7 @@ def start(arch: str, *, threads: int = 1) -> None:
     wanted = ("cpu" if arch == "auto" else arch, threads)
     if _started == [wanted]:
         return
+    cache = kernel_cache(".".join(map(str, ti.__version__)))
     with redirect_stdout(StringIO()):  # its second banner
         ti.init(
             arch=getattr(ti, wanted[0]),
@@ -60,7 +62,7 @@ def start(arch: str, *, threads: int = 1) -> None:
             default_fp=ti.f32,
             fast_math=False,  # NaN must be seen, and results must not depend on contraction
             cfg_optimization=False,  # loses updates in 1.7.4, and doubles compile time
-            offline_cache=False,  # a killed worker would leave a locked cache behind
+            **({"offline_cache_file_path": str(cache)} if cache else {"offline_cache": False}),
             log_level=ti.ERROR,
         )
     _started[:] = [wanted]

@@ -83,24 +83,9 @@ class DynamicCheck:
             BadInputError: a pull is needed and no `pull_apart` was handed in.
             SceneError: a tool's mesh cannot be used.
         """
-        history = History.start(scene, particles, self.config, self.pull_apart)
-        states = [history.step(frame) for frame in range(len(particles.positions))]
-        labels = self._labels(particles, states)
-        shapes = read_shapes(
-            particles.positions,
-            labels,
-            [decode(state.bonds, len(particles.object_ids)) for state in states],
-            [state.contacts for state in states],
-            loops=[state.loops for state in states],
-            changed=[state.changed for state in states],
-            crossed=[state.crossed for state in states],
-            spacing=particles.spacing,
-            window=LoopWindow(
-                birth=self.config.loop_birth,
-                death=self.config.loop_death,
-                doubt=self.config.loop_doubt,
-            ),
-        )
+        states = self.follow(scene, particles)
+        labels = self.label(particles, states)
+        shapes = self.read(particles, states, labels)
         frames = tuple(
             _frame(x, own, shape, state)
             for x, own, shape, state in zip(
@@ -119,9 +104,15 @@ class DynamicCheck:
             bonds_broken=broken,
         )
 
-    def _labels(
+    def follow(self, scene: Scene, particles: Particles) -> list[FrameState]:
+        """The causal pass: bonds, contacts and decisions of every key frame."""
+        history = History.start(scene, particles, self.config, self.pull_apart)
+        return [history.step(frame) for frame in range(len(particles.positions))]
+
+    def label(
         self, particles: Particles, states: Sequence[FrameState]
     ) -> list[UInt8[np.ndarray, " particles"]]:
+        """Component of every particle in every key frame."""
         crumb = crumb_limit(particles, self.config.crumb_share, self.config.crumb_volume)
         labels: list[UInt8[np.ndarray, " particles"]] = []
         for state, x in zip(states, particles.positions, strict=True):
@@ -131,6 +122,29 @@ class DynamicCheck:
             else:
                 labels.append(first_labels(parts, x, particles.object_ids))
         return labels
+
+    def read(
+        self,
+        particles: Particles,
+        states: Sequence[FrameState],
+        labels: Sequence[UInt8[np.ndarray, " particles"]],
+    ) -> list[list[Shape]]:
+        """Genus and graph of every component in every key frame, in the order of the labels."""
+        return read_shapes(
+            particles.positions,
+            labels,
+            [decode(state.bonds, len(particles.object_ids)) for state in states],
+            [state.contacts for state in states],
+            loops=[state.loops for state in states],
+            changed=[state.changed for state in states],
+            crossed=[state.crossed for state in states],
+            spacing=particles.spacing,
+            window=LoopWindow(
+                birth=self.config.loop_birth,
+                death=self.config.loop_death,
+                doubt=self.config.loop_doubt,
+            ),
+        )
 
 
 def _frame(
