@@ -5,7 +5,7 @@ Quaternions are xyzw. Camera frame: optical (x right, y down, z forward); depth 
 """
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float, Float64, Int
 
 from doughschemas import Camera, Intrinsics
 
@@ -17,6 +17,7 @@ __all__ = [
     "quaternion_to_matrix",
     "rotation_vector_to_matrix",
     "transform_points",
+    "unproject",
 ]
 
 
@@ -31,12 +32,12 @@ def quaternion_to_matrix(quaternion: Float[np.ndarray, "*batch 4"]) -> Float64[n
     if np.any(length == 0):
         raise ValueError("a quaternion of length zero is no rotation")
     x, y, z, w = np.moveaxis(quaternion / length, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    entries = (
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        *(2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        *(2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack(entries, axis=-1).reshape(*quaternion.shape[:-1], 3, 3)
 
 
 def matrix_to_quaternion(matrix: Float[np.ndarray, "3 3"]) -> Float64[np.ndarray, " 4"]:
@@ -98,10 +99,19 @@ def points_from_depth(
     if depth.shape != wanted:
         raise ValueError(f"a depth image of this camera has shape {wanted}, got {depth.shape}")
     chosen = depth > 0 if mask is None else (depth > 0) & mask
-    v, u = np.nonzero(chosen)
-    z = depth[chosen].astype(float)
-    k = camera.intrinsics
-    points = np.stack([(u - k.cx) / k.fx * z, (v - k.cy) / k.fy * z, z], axis=1)
+    rows, columns = np.nonzero(chosen)
+    return unproject(columns, rows, depth[chosen], camera)
+
+
+def unproject(
+    columns: Int[np.ndarray, " pixels"],
+    rows: Int[np.ndarray, " pixels"],
+    depth: Float[np.ndarray, " pixels"],
+    camera: Camera,
+) -> Float64[np.ndarray, "pixels 3"]:
+    """World points [m] of pixels with a depth [m]."""
+    k, z = camera.intrinsics, np.asarray(depth, float)
+    points = np.stack([(columns - k.cx) / k.fx * z, (rows - k.cy) / k.fy * z, z], axis=1)
     return transform_points(points, np.array(camera.position), np.array(camera.quaternion))
 
 

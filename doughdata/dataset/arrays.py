@@ -5,7 +5,7 @@ array that was written in another legal way is read by zarr-python instead.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from math import ceil, prod
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt64
 
-from doughdata.dataset.spool import BLOCK, IMAGE_LEVEL, SpooledArray
+from doughdata.dataset.spool import BLOCK, CODEC, LEVEL, SpooledArray
 from doughdata.dataset.store import LocalStore, Store
 from doughschemas import SCHEMA_VERSION, DamagedDatasetError
 
@@ -31,7 +31,6 @@ __all__ = [
 MISSING_CHUNK = 2**64 - 1  # offset and size of a chunk that was not written (Zarr sharding codec)
 INDEX_CODECS = ["bytes", "crc32c"]
 CHUNK_CODECS = ["bytes", "blosc", "crc32c"]
-LEVEL = 5  # of zstd, for all but images
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +41,6 @@ class ArraySpec:
     axes: tuple[str, ...]  # names of the dimensions; the first is the row
     fill: int | float  # value of padding
     by_row: bool = True  # one chunk a row; False: all rows in one chunk, for small numbers
-    image: bool = False  # noisy pixels: the lower level serves them as well, and costs less
     attributes: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -53,12 +51,11 @@ def padded_length(length: int) -> int:
     return max(8, ceil(length / 8) * 8)
 
 
-def blosc_settings(*, image: bool) -> dict[str, Any]:
-    """How chunks are compressed: large blocks, and bytes rather than bits shuffled, which are
-    decoded faster for a few bytes more (LOG.md has the figures).
+def blosc_settings() -> dict[str, Any]:
+    """How chunks are compressed: LZ4 in large blocks, and bytes rather than bits shuffled, which
+    are decoded faster than by zstd for a few bytes more (LOG.md has the figures).
     """
-    level = IMAGE_LEVEL if image else LEVEL
-    return {"cname": "zstd", "clevel": level, "shuffle": "shuffle", "blocksize": BLOCK}
+    return {"cname": CODEC, "clevel": LEVEL, "shuffle": "shuffle", "blocksize": BLOCK}
 
 
 def encode_arrays(
@@ -85,7 +82,7 @@ def encode_arrays(
             data=np.ascontiguousarray(spec.data),
             chunks=chunk,
             shards=spec.data.shape,
-            compressors=[BloscCodec(**blosc_settings(image=spec.image)), Crc32cCodec()],
+            compressors=[BloscCodec(**blosc_settings()), Crc32cCodec()],
             fill_value=spec.fill,
             dimension_names=spec.axes,
             attributes=dict(spec.attributes),
@@ -113,7 +110,7 @@ def _declare(group: Any, name: str, spec: SpooledArray) -> None:
         dtype=spec.dtype,
         chunks=(1, *spec.shape[1:]),
         shards=spec.shape,
-        compressors=[BloscCodec(**blosc_settings(image=True)), Crc32cCodec()],
+        compressors=[BloscCodec(**blosc_settings()), Crc32cCodec()],
         fill_value=spec.fill,
         dimension_names=spec.axes,
         attributes=dict(spec.attributes),
@@ -262,15 +259,21 @@ def _simple_chunk(meta: Mapping[str, Any], shape: tuple[int, ...]) -> tuple[int,
 
 def _verified(data: bytes) -> bytes:
     """The data without its trailing crc32c (little-endian); ValueError if it does not fit."""
-    import google_crc32c
-
-    if len(data) < 4 or google_crc32c.value(data[:-4]) != int.from_bytes(data[-4:], "little"):
+    content = data[:-4]
+    if len(data) < 4 or _crc32c()(content) != int.from_bytes(data[-4:], "little"):
         raise ValueError("does not fit its crc32c")
-    return data[:-4]
+    return content
 
 
 def _decode(data: bytes, dtype: np.dtype, chunk: tuple[int, ...]) -> np.ndarray:
     return np.frombuffer(_blosc().decompress(data), dtype, count=prod(chunk)).reshape(chunk)
+
+
+@cache
+def _crc32c() -> Callable[[bytes], int]:
+    from google_crc32c import value
+
+    return value
 
 
 @cache

@@ -17,6 +17,7 @@ from doughdata.dataset.layers import (
     decode_label_grid,
     decode_meshes,
 )
+from doughdata.dataset.shards import LayerShard
 from doughschemas import (
     ComponentMesh,
     DepthViews,
@@ -59,6 +60,7 @@ class Frame:
     def __init__(self, dataset: "Dataset", scene_index: int, frame_index: int) -> None:
         self._dataset = dataset
         self.scene_index, self.frame_index = scene_index, frame_index
+        self._layers: dict[str, LayerShard] = {}
 
     def __repr__(self) -> str:
         return f"Frame(scene={self.scene_index}, frame={self.frame_index})"
@@ -74,7 +76,7 @@ class Frame:
     @cached_property
     def particles(self) -> FrameParticles:
         """Layer `sim`."""
-        sim = self._dataset.layer("sim", self.scene_index)
+        sim = self._layer("sim")
         row = sim.rows.start(self.scene_index) + self.frame_index
         count = self._num_particles
         scenes = sim.table("scenes")
@@ -88,7 +90,7 @@ class Frame:
     @cached_property
     def topology(self) -> FrameTopology:
         """Layer `topology`: labels, genus, scene graph, contacts."""
-        shard = self._dataset.layer("topology", self.scene_index)
+        shard = self._layer("topology")
         return decode_frame_topology(shard, *self._key, num_particles=self._num_particles)
 
     @cached_property
@@ -110,17 +112,17 @@ class Frame:
     @cached_property
     def meshes(self) -> tuple[ComponentMesh, ...]:
         """Layer `mesh`: mesh k belongs to component k."""
-        return decode_meshes(self._dataset.layer("mesh", self.scene_index), *self._key)
+        return decode_meshes(self._layer("mesh"), *self._key)
 
     @cached_property
     def label_grid(self) -> LabelGrid:
         """Layer `mesh`: component of every node of a regular grid."""
-        return decode_label_grid(self._dataset.layer("mesh", self.scene_index), *self._key)
+        return decode_label_grid(self._layer("mesh"), *self._key)
 
     @cached_property
     def tools(self) -> FrameTools:
         """The gripper: which tool, and where both fingers are."""
-        sim = self._dataset.layer("sim", self.scene_index)
+        sim = self._layer("sim")
         frames, poses = sim.table("frames"), sim.table("tool_poses")
         at, here = frames.frame_rows(*self._key).start, poses.frame_rows(*self._key)
         frames.load(("action", "opening"), slice(at, at + 1))
@@ -141,7 +143,7 @@ class Frame:
         Raises:
             MissingLayerError: not rendered; the message names the command that does it.
         """
-        views = decode_depth(self._dataset.layer(f"depth.{sensor}", self.scene_index), *self._key)
+        views = decode_depth(self._layer(f"depth.{sensor}"), *self._key)
         if len(views.depth) == 0:
             raise MissingLayerError(
                 f"{self._dataset.uri}: key frame {self.frame_index} of scene {self.scene_index} "
@@ -157,11 +159,16 @@ class Frame:
         """
         return decode_color(self._dataset.layer(RECORDED, self.scene_index), *self._key)
 
+    def _layer(self, name: str) -> LayerShard:
+        if name not in self._layers:
+            self._layers[name] = self._dataset.layer(name, self.scene_index)
+        return self._layers[name]
+
     @property
     def _key(self) -> tuple[int, int]:
         return self.scene_index, self.frame_index
 
     @cached_property
     def _num_particles(self) -> int:
-        sim = self._dataset.layer("sim", self.scene_index)
+        sim = self._layer("sim")
         return int(sim.array("num_particles").row(sim.rows.start(self.scene_index)))

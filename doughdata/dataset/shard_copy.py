@@ -174,6 +174,5 @@ def _spec(array: ShardedArray, meta: Mapping[str, Any], rows: np.ndarray) -> Arr
         axes=array.axes,
         fill=float(fill) if isinstance(fill, str) else fill,
         by_row=chunk[0] == 1,
-        image=array.axes[0] == "view",
         attributes=array.attributes,
     )

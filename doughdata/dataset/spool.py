@@ -15,7 +15,7 @@ from doughschemas import BadInputError
 
 __all__ = ["RowSpool", "SpooledArray"]
 
-IMAGE_LEVEL = 3  # of zstd, as in `arrays`
+CODEC, LEVEL = "lz4hc", 5  # of blosc, for all arrays
 BLOCK = 2**18  # [bytes] that blosc compresses at a time
 
 
@@ -92,7 +92,7 @@ class RowSpool:
 def _compressed(row: np.ndarray) -> bytes:
     from numcodecs import blosc  # pyright: ignore[reportAttributeAccessIssue] (compiled)
 
-    return blosc.compress(row, b"zstd", IMAGE_LEVEL, blosc.SHUFFLE, BLOCK)
+    return blosc.compress(row, CODEC.encode(), LEVEL, blosc.SHUFFLE, BLOCK)
 
 
 def _checked(data: bytes) -> bytes:

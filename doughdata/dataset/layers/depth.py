@@ -39,8 +39,8 @@ def encode_depth(views: Mapping[int, DepthViews], rows: ShardRows) -> Encoded:
         raise BadInputError("a depth layer needs at least one view")
     axes, attributes = ("view", "y", "x"), {"depth_unit": units.pop()}  # [m]
     arrays = {
-        "depth": ArraySpec(data=depth, axes=axes, fill=0, image=True, attributes=attributes),
-        "segments": ArraySpec(data=segments, axes=axes, fill=0, image=True),
+        "depth": ArraySpec(data=depth, axes=axes, fill=0, attributes=attributes),
+        "segments": ArraySpec(data=segments, axes=axes, fill=0),
     }
     return Encoded(arrays=arrays, tables={"views": _views_table(views)})
 
@@ -60,7 +60,7 @@ def decode_depth(shard: LayerShard, scene_index: int, frame_index: int | None = 
         segments=shard.array("segments").rows(start, start + count),
         frame_index=index.values("frame_index", here).copy(),
         view_index=index.values("view_index", here).copy(),
-        cameras=tuple(_camera(index, row) for row in range(here.start, here.stop)),
+        cameras=_cameras(index, here),
         depth_unit=float(depth.attributes["depth_unit"]),
     )
 
@@ -100,11 +100,15 @@ def _vectors(values: Sequence[Sequence[float]]) -> pa.FixedSizeListArray:
     return vectors(np.array(values, np.float64), np.float64)
 
 
-def _camera(views: TableIndex, row: int) -> Camera:
-    x, y, z = views.value("position", row).tolist()
-    i, j, k, w = views.value("quaternion", row).tolist()
-    return Camera(
-        intrinsics=Intrinsics(**{name: views.value(name, row).item() for name in INTRINSICS}),
-        position=(x, y, z),
-        quaternion=(i, j, k, w),
+def _cameras(views: TableIndex, rows: slice) -> tuple[Camera, ...]:
+    position, quaternion, *intrinsics = (
+        views.values(name, rows).tolist() for name in ("position", "quaternion", *INTRINSICS)
+    )
+    return tuple(
+        Camera(
+            intrinsics=Intrinsics(**dict(zip(INTRINSICS, numbers, strict=True))),
+            position=tuple(at),
+            quaternion=tuple(turned),
+        )
+        for at, turned, *numbers in zip(position, quaternion, *intrinsics, strict=True)
     )

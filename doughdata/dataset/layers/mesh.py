@@ -65,7 +65,7 @@ def decode_label_grid(shard: LayerShard, scene_index: int, frame_index: int) -> 
     grid = shard.array("label_grid")
     nx, ny, nz = (int(n) for n in shard.array("label_grid_shape").row(row))
     return LabelGrid(
-        labels=np.ascontiguousarray(grid.row(row)[:nx, :ny, :nz]),
+        labels=grid.row(row)[:nx, :ny, :nz],
         origin=shard.array("label_grid_origin").row(row).copy(),
         spacing=float(grid.attributes["spacing"]),
     )

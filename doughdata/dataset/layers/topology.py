@@ -179,7 +179,9 @@ def _bonds_table(topologies: Mapping[int, Topology]) -> pa.Table:
 def _frame_pairs(index: TableIndex, key: tuple[int, int]) -> np.ndarray:
     here = index.frame_rows(*key)
     index.load(("a", "b"), here)
-    return np.stack([index.values("a", here), index.values("b", here)], axis=1).astype(np.int32)
+    pairs = np.empty((here.stop - here.start, 2), np.int32)
+    pairs[:, 0], pairs[:, 1] = index.values("a", here), index.values("b", here)
+    return pairs
 
 
 def _pairs(table: pa.Table) -> np.ndarray:
