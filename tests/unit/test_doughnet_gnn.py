@@ -190,6 +190,31 @@ def test_particles_at_rest_keep_the_dough_that_was_seen(uri: str) -> None:
     assert 0 <= table["final"]["viou"] <= 100
 
 
+def test_numbers_that_overflow_are_a_failed_scene(uri: str) -> None:
+    """What was predicted before stays, the rest is empty, and the scene is counted."""
+    sequences = DoughSequences(uri, length=None, sensor="none", num_points=64, num_queries=1)
+    method = Gnn(Ball(), Bursting(FEW).eval(), dough_around)
+    frames = [sequences.source.frame(scene=0, frame=k) for k in range(NUM_FRAMES)]
+    first, *later = method.sequence(sequences[0], frames, SMALL)
+    assert list(first[1]) == [0]
+    assert [(np.asarray(labels).any(), list(genus)) for labels, genus in later] == [(False, [])]
+    assert method.failed == 1
+
+
+class Bursting(ParticleNet):
+    """A network at rest whose second step overflows."""
+
+    steps = 0
+
+    def forward(
+        self, history: torch.Tensor, tool: torch.Tensor, spacing: torch.Tensor
+    ) -> torch.Tensor:
+        """The last key frame, then infinities."""
+        del tool, spacing
+        self.steps += 1
+        return history[:, -1] * (1.0 if self.steps == 1 else torch.inf)
+
+
 class Ball(DoughNet):
     """A model that sees a ball of 15 mm radius in every view."""
 
