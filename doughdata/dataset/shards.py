@@ -24,6 +24,7 @@ __all__ = ["Encoded", "LayerShard", "ShardRows", "TableIndex", "encode_table", "
 ARRAYS = "arrays.zarr"
 THREADS_FROM = 2**24  # [bytes]
 SMALL = 2**17  # [bytes] of a table in memory
+ITEM = 100  # [bytes], of a list of a few numbers or a short text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,9 +159,11 @@ class TableIndex:
 
     @property
     def nbytes(self) -> int:
-        """Memory [bytes] of the file, or of the table."""
+        """Memory [bytes] of the file or table, and of what was decoded; lists are a guess."""
         whole = self.__dict__.get("table")
-        return self._source.nbytes + self._keys.nbytes + (0 if whole is None else whole.nbytes)
+        decoded = sum(getattr(part, "nbytes", ITEM * len(part)) for part in self._parts.values())
+        own = self._source.nbytes + self._keys.nbytes + decoded
+        return own + (0 if whole is None else whole.nbytes)
 
     def frame(self, scene_index: int, frame_index: int) -> pa.Table:
         """Rows of one frame, in stored order."""

@@ -8,7 +8,7 @@ import pytest
 import tensorstore
 import zarr
 
-from doughdata.dataset import open_dataset
+from doughdata.dataset import open_dataset, reader
 from doughdata.dataset.arrays import ShardedArray, padded_length
 from tests.closed_form import NUM_FRAMES, cut_ring, joined_bars
 from tests.dataset_helpers import equal, new_writer, write_examples
@@ -55,6 +55,25 @@ def test_frames_show_the_same_values(dataset, index):
         assert np.array_equal(frame.tools.position, example.particles.tool_poses.position[k])
         assert frame.tools.tool == example.scene.tools[0]
         assert np.array_equal(frame.depth("none").depth[0], example.depth.depth[k])
+
+
+def test_what_is_kept_in_memory_is_bounded(dataset, monkeypatch):
+    """Layers over the limit are forgotten and read again; what was decoded counts as memory."""
+    shard = open_dataset(dataset.uri).layer("sim", 0)
+    frames = shard.table("frames")
+    before = shard.nbytes
+    decoded = frames.values("timestamp", slice(0, NUM_FRAMES))
+    assert shard.nbytes >= before + decoded.nbytes
+    monkeypatch.setattr(reader, "OPEN_LEAST", 2)
+    monkeypatch.setattr(reader, "OPEN_BYTES", 1)
+    bounded = open_dataset(dataset.uri)
+    for _ in range(2):
+        for index, example in enumerate(EXAMPLES):
+            frame = bounded.frame(scene=index, frame=1)
+            assert equal(frame.topology, example.topology.frames[1])
+            assert np.array_equal(frame.particles.positions, example.particles.positions[1])
+            assert equal(frame.label_grid, example.meshes[1].label_grid)
+            assert len(bounded._here.shards) <= 3
 
 
 def test_zarr_and_tensorstore_read_the_same_arrays(dataset):
