@@ -1,11 +1,14 @@
 """The LeRobot export: the layout of its format v3.0, read back as its loader does.
 
 The loader's steps (huggingface/lerobot, `load_info`, `load_tasks`, `load_episodes`,
-`get_hf_features_from_features`, `Dataset.from_parquet`) are done here with pandas and `datasets`;
-the package itself brings gigabytes.
+`get_hf_features_from_features`, `Dataset.from_parquet`) are done here with pandas and `datasets`.
+The slow test runs the loader itself; with all that it depends on it would bring gigabytes.
 """
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +28,19 @@ INFO = {  # keys that LeRobot 0.4 reads
     *("chunks_size", "data_files_size_in_mb", "video_files_size_in_mb", "fps", "splits"),
     *("data_path", "video_path", "features"),
 }
+LEROBOT = ("lerobot==0.4.4", "accelerate==1.15.0", "av==18.1.0", "torchvision==0.28.0")
+LOAD = """
+import json, sys, torch
+# torchvision of PyPI has its operators compiled for CUDA; two must be known for its import.
+library = torch.library.Library("torchvision", "DEF")
+for name in ("nms", "qnms"):
+    library.define(name + "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+dataset = LeRobotDataset("local/dough", root=sys.argv[1])
+rows = [row for batch in torch.utils.data.DataLoader(dataset, batch_size=2)
+        for row in zip(*(batch[name].tolist() for name in json.loads(sys.argv[2])))]
+print(json.dumps([dataset.num_episodes, dataset.fps, rows]))
+"""
 INDEX = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
@@ -121,6 +137,28 @@ def test_frames_hold_the_records(exported: Path) -> None:
             assert grey.shape == (*depth.shape, 3)
             expected = (depth * 1e-4 - near) / (far - near) * 255
             np.testing.assert_allclose(grey[..., 0], expected, atol=0.5001)
+
+
+@pytest.mark.slow
+def test_the_loader_itself_opens_it(exported: Path, tmp_path: Path) -> None:
+    """LeRobotDataset and a DataLoader give every frame with the values that were written."""
+    pip = [sys.executable, "-m", "pip", "install", "-qq", "--no-deps", "--target", tmp_path / "lib"]
+    subprocess.run([*pip, *LEROBOT], check=True)
+    names = ("observation.state", "action", "observation.genus", "episode_index", "frame_index")
+    done = subprocess.run(
+        [sys.executable, "-c", LOAD, exported, json.dumps(names)],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONPATH": str(tmp_path / "lib"), "HF_HUB_OFFLINE": "1"},
+    )
+    episodes, fps, rows = json.loads(done.stdout)
+    assert (episodes, fps) == (2, info_of(exported)["fps"])
+    frames = frames_of(exported)
+    assert len(rows) == len(frames)
+    for row, frame in zip(rows, frames, strict=True):
+        for name, value in zip(names, row, strict=True):
+            np.testing.assert_allclose(value, frame[name], rtol=1e-6)
 
 
 def test_tasks_are_indexed_by_their_text(exported: Path) -> None:
