@@ -49,7 +49,7 @@ class Truth:
     @classmethod
     def of_frame(cls, frame: Frame, lattice: Lattice) -> "Truth":
         """Of a simulated key frame."""
-        return cls.of(on_lattice(frame.label_grid, lattice), frame.topology.genus, frame.tools)
+        return cls.of(on_lattice(frame.label_grid, lattice), frame.genus, frame.tools)
 
     @property
     def topology(self) -> tuple[int, ...]:

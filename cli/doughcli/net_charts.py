@@ -165,7 +165,7 @@ def _from_above(model: Any, sequences: Any, one: Any) -> tuple[np.ndarray, np.nd
     prediction = predict(model, sequences.source, scene=one.scene_index, sensor=sequences.sensor)
     shape = next(f.shape for f in prediction.frames if f.frame_index == one.frame_index)
     labels, genus = shape.components()
-    return _picture(true, len(frame.topology.genus)), _picture(labels.numpy(), len(genus))
+    return _picture(true, len(frame.genus)), _picture(labels.numpy(), len(genus))
 
 
 def _picture(labels: np.ndarray, count: int) -> np.ndarray:

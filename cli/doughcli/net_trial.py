@@ -141,6 +141,6 @@ def _truth(goal: Source, lattice: Lattice, tools: FrameTools) -> Truth | None:
         return None
     try:
         labels = on_lattice(goal.frame.label_grid, lattice)
-        return Truth.of(labels, goal.frame.topology.genus, goal.frame.tools)
+        return Truth.of(labels, goal.frame.genus, goal.frame.tools)
     except MissingLayerError:
         return None  # a recording

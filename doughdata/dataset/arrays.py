@@ -29,6 +29,7 @@ __all__ = [
 ]
 
 MISSING_CHUNK = 2**64 - 1  # offset and size of a chunk that was not written (Zarr sharding codec)
+CRC_RESIDUE = 0x48674BC7  # crc32c of any data followed by their own crc32c, little-endian
 INDEX_CODECS = ["bytes", "crc32c"]
 CHUNK_CODECS = ["bytes", "blosc", "crc32c"]
 
@@ -193,7 +194,8 @@ class ShardedArray:
             return np.full(self.chunk, self._fill, self.dtype)
         try:
             data = self._store.read_range(self._data, offset, offset + size)
-            return _decode(_verified(data), self.dtype, self.chunk)
+            _verify(data)
+            return _decode(data, self.dtype, self.chunk)
         except (RuntimeError, ValueError) as error:
             raise DamagedDatasetError(f"{self._data}: chunk {number} {error}") from error
 
@@ -205,10 +207,10 @@ class ShardedArray:
         if len(data) < size:
             raise DamagedDatasetError(f"{self._data} is too short for its shard index")
         try:
-            data = _verified(data)
+            _verify(data)
         except ValueError as error:
             raise DamagedDatasetError(f"{self._data}: shard index {error}") from error
-        return np.frombuffer(data, "<u8").reshape(-1, 2).astype(np.uint64)
+        return np.frombuffer(data[:-4], "<u8").reshape(-1, 2).astype(np.uint64)
 
     @cached_property
     def _ranges(self) -> list[list[int]]:
@@ -257,15 +259,14 @@ def _simple_chunk(meta: Mapping[str, Any], shape: tuple[int, ...]) -> tuple[int,
     return chunk if plain else None
 
 
-def _verified(data: bytes) -> bytes:
-    """The data without its trailing crc32c (little-endian); ValueError if it does not fit."""
-    content = data[:-4]
-    if len(data) < 4 or _crc32c()(content) != int.from_bytes(data[-4:], "little"):
+def _verify(data: bytes) -> None:
+    """Raise ValueError if data do not fit the crc32c (little-endian) that they end with."""
+    if len(data) < 4 or _crc32c()(data) != CRC_RESIDUE:
         raise ValueError("does not fit its crc32c")
-    return content
 
 
 def _decode(data: bytes, dtype: np.dtype, chunk: tuple[int, ...]) -> np.ndarray:
+    """A chunk; blosc knows where its own data end, so that the crc32c may stay behind them."""
     return np.frombuffer(_blosc().decompress(data), dtype, count=prod(chunk)).reshape(chunk)
 
 

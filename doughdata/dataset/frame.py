@@ -14,6 +14,7 @@ from doughdata.dataset.layers import (
     decode_depth,
     decode_events,
     decode_frame_topology,
+    decode_genus,
     decode_label_grid,
     decode_meshes,
 )
@@ -92,6 +93,11 @@ class Frame:
         """Layer `topology`: labels, genus, scene graph, contacts."""
         shard = self._layer("topology")
         return decode_frame_topology(shard, *self._key, num_particles=self._num_particles)
+
+    @cached_property
+    def genus(self) -> tuple[int, ...]:
+        """Layer `topology`: genus of each component; `topology` reads all that belongs to it."""
+        return decode_genus(self._layer("topology"), *self._key)
 
     @cached_property
     def contacts(self) -> FrameContacts:

@@ -109,7 +109,7 @@ def _add_components(
     meshes: Iterable[ComponentMesh] = frame.meshes
     if max_error:
         meshes = simplify(frame.meshes, max_error=max_error)
-    for k, (mesh, genus) in enumerate(zip(meshes, frame.topology.genus, strict=True)):
+    for k, (mesh, genus) in enumerate(zip(meshes, frame.genus, strict=True)):
         if not len(mesh.faces):
             continue
         name = f"component {k}"

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, Int64, Integer
 
 from doughdata.dataset import FrameTools
-from doughdata.geometry import quaternion_to_matrix, transform_points, unproject
+from doughdata.geometry import quaternion_to_matrix, unproject
 from doughdata.registry import require_package
 from doughschemas import (
     NO_COMPONENT,
@@ -101,13 +101,10 @@ def tool_points(
     tools: FrameTools, count: int, rng: np.random.Generator
 ) -> Float64[np.ndarray, "fingers points 3"]:
     """Points on the surface of every finger [m], world."""
-    finger = _finger(tools.tool)
-    return np.stack(
-        [
-            transform_points(finger.draw(count, rng)[0], position, quaternion)
-            for position, quaternion in zip(tools.position, tools.quaternion, strict=True)
-        ]
-    )
+    drawn, _ = _finger(tools.tool).draw(len(tools.position) * count, rng)
+    rotation = quaternion_to_matrix(tools.quaternion)
+    local = drawn.reshape(-1, count, 3)
+    return local @ np.swapaxes(rotation, 1, 2) + tools.position[:, None]
 
 
 def inside_tools(
@@ -152,8 +149,9 @@ class _Surface:
         """Areas by coordinate: a tenth of the time of gathering corners and `np.cross`."""
         x, y, z = np.ascontiguousarray(vertices.T)
         a, b, c = np.ascontiguousarray(faces.T, dtype=np.intp)
-        ux, uy, uz = (v.take(b) - v.take(a) for v in (x, y, z))
-        wx, wy, wz = (v.take(c) - v.take(a) for v in (x, y, z))
+        first = [v.take(a) for v in (x, y, z)]
+        ux, uy, uz = (v.take(b) - v0 for v, v0 in zip((x, y, z), first, strict=True))
+        wx, wy, wz = (v.take(c) - v0 for v, v0 in zip((x, y, z), first, strict=True))
         square = (uy * wz - uz * wy) ** 2 + (uz * wx - ux * wz) ** 2 + (ux * wy - uy * wx) ** 2
         return cls(vertices, faces, np.cumsum(np.sqrt(square), dtype=np.float64))
 

@@ -115,7 +115,7 @@ def frame_sample(
     if sensor == RECORDED_SENSOR:
         arrays, count = recorded_arrays(frame, sensor, view, rng, **asdict(size))
         return _tensors(arrays, frame, view, num_components=count)
-    genus = frame.topology.genus
+    genus = frame.genus
     if len(genus) > size.max_components:
         raise BadInputError(
             f"{frame} has {len(genus)} components; raise max_components={size.max_components}"

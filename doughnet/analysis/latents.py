@@ -53,7 +53,7 @@ def scene_latents(
             seen = dough_points(there.depth(sensor), int(views.view_index[0]), NUM_POINTS, rng)
             points, labels = (torch.from_numpy(values)[None] for values in seen)
             means.append(model.encode(points.float(), labels)[0].mean(dim=0).numpy())
-            genus.append(tuple(sorted(there.topology.genus)))
+            genus.append(tuple(sorted(there.genus)))
         if len(frames) > 1:
             found.append(
                 SceneLatents(

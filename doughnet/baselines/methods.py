@@ -54,7 +54,7 @@ class Copy:
         """See `Method`."""
         del sample
         first = on_lattice(frames[0].label_grid, lattice).astype(np.int64)
-        return [(first, frames[0].topology.genus)] * (len(frames) - 1)
+        return [(first, frames[0].genus)] * (len(frames) - 1)
 
 
 class Model:

@@ -47,6 +47,7 @@ def test_frames_show_the_same_values(dataset, index):
     for k in range(NUM_FRAMES):
         frame = dataset.frame(scene=index, frame=k)
         assert np.array_equal(frame.particles.positions, example.particles.positions[k])
+        assert frame.genus == example.topology.frames[k].genus
         assert equal(frame.topology, example.topology.frames[k])
         assert equal(frame.meshes, example.meshes[k].meshes)
         assert equal(frame.label_grid, example.meshes[k].label_grid)

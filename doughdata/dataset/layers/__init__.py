@@ -7,6 +7,7 @@ from doughdata.dataset.layers.sim import decode_particles, decode_tool_poses, en
 from doughdata.dataset.layers.topology import (
     decode_events,
     decode_frame_topology,
+    decode_genus,
     decode_topology,
     encode_topology,
 )
@@ -17,6 +18,7 @@ __all__ = [
     "decode_depth",
     "decode_events",
     "decode_frame_topology",
+    "decode_genus",
     "decode_label_grid",
     "decode_meshes",
     "decode_particles",

@@ -12,7 +12,7 @@ from doughdata.dataset.layers.columns import frame_columns, int_lists, vectors
 from doughdata.dataset.shards import Encoded, LayerShard, ShardRows, TableIndex
 from doughschemas import STRAY, BadInputError, FrameTopology, SceneGraph, Topology, TopologyEvent
 
-__all__ = ["decode_frame_topology", "decode_topology", "encode_topology"]
+__all__ = ["decode_frame_topology", "decode_genus", "decode_topology", "encode_topology"]
 
 PerFrame = Callable[[Topology], list[Any]]  # one value per key frame
 
@@ -69,6 +69,12 @@ def decode_frame_topology(
         contacts=_frame_pairs(shard.table("contacts"), key),
         ambiguous_reason=frames.value("ambiguous_reason", at),
     )
+
+
+def decode_genus(shard: LayerShard, scene_index: int, frame_index: int) -> tuple[int, ...]:
+    """Genus of every component in one key frame; nothing else is read."""
+    frames = shard.table("frames")
+    return tuple(frames.value("genus", frames.frame_rows(scene_index, frame_index).start))
 
 
 def decode_events(shard: LayerShard, scene_index: int) -> tuple[TopologyEvent, ...]:
