@@ -237,6 +237,8 @@ def test_the_commands_work_on_a_bucket(uri: str, tmp_path: Path) -> None:
 
 def test_samples_for_training_come_from_a_bucket(stored: str) -> None:
     """DoughDataset over the network gives what it gives from a folder, with worker processes."""
+    from multiprocessing import forkserver
+
     import torch
     from torch.utils.data import DataLoader
 
@@ -244,7 +246,8 @@ def test_samples_for_training_come_from_a_bucket(stored: str) -> None:
 
     dataset = DoughDataset(stored, sensor="none", num_points=32, num_queries=64)
     here = [dataset[k] for k in range(len(dataset))]
-    for context in ("fork", "forkserver"):
+    forkserver._forkserver._stop()  # one that an earlier test started knows no credentials
+    for context in ("fork", "spawn", "forkserver"):
         loader = DataLoader(
             dataset, batch_size=None, num_workers=1, multiprocessing_context=context
         )

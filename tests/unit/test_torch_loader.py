@@ -36,9 +36,9 @@ def same(a, b) -> bool:
     )
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
 def test_samples_do_not_depend_on_workers(uri, method):
-    """Two workers, forked or spawned, give the samples of none, also in a later epoch."""
+    """Two workers, however they were started, give the samples of none, also in a later epoch."""
     dataset = DoughDataset(uri, **OPTIONS)
     alone = samples(dataset)
     loader = DataLoader(
