@@ -42,6 +42,7 @@ from tests.object_store import BUCKET, environment, object_store, set_environmen
 
 SCENES, SCENES_PER_SHARD = 8, 2
 COMMAND_FRAMES = 4
+LONGEST = 10.0  # [s] that a command is left alone, at most
 
 
 def examples() -> list[Example]:
@@ -173,13 +174,19 @@ def kill_commands(uri: str, kills: int, rng: random.Random, folder: Path) -> Cou
     scenes.write_text(json.dumps([{**TINY[1], "scene_id": f"cut-{k}"} for k in range(3)]))
     program = str(Path(sys.executable).with_name("doughdata"))
     options = ("--frames", str(COMMAND_FRAMES), "--executor", "processes", "--workers", "2")
-    command = [program, "generate", "--scenes", str(scenes), "--dataset", uri, *options]
-    killed = Killed(uri, command, rng)
-    while killed.kills < kills and not killed.run(14.0):
-        pass
-    killed.finish()
-    found = state(uri, 3, LAYERS[:3])
-    return found + Counter(kills=killed.kills, command_kills=killed.kills, lost=killed.lost)
+    command = [program, "generate", "--scenes", str(scenes), *options, "--dataset"]
+    found: Counter[str] = Counter()
+    part = 0
+    while found["kills"] < kills:  # a dataset that is whole before its time gives way to another
+        place = f"{uri}-{part}"
+        part += 1
+        killed = Killed(place, [*command, place], rng)
+        while found["kills"] + killed.kills < kills and not killed.run(LONGEST):
+            pass
+        killed.finish()
+        found += state(place, 3, LAYERS[:3])
+        found += Counter(kills=killed.kills, command_kills=killed.kills, lost=killed.lost)
+    return found
 
 
 def race(uri: str) -> Counter[str]:

@@ -173,6 +173,7 @@ def test_other_methods_are_scored(trained: Path, scenes: str, method: str) -> No
     assert "vpm" in refused.stderr
 
 
+@pytest.mark.slow
 def test_the_particle_network_is_trained_and_scored(
     trained: Path, scenes: str, tmp_path: Path
 ) -> None:

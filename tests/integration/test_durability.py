@@ -13,6 +13,7 @@ from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from doughdata import open_dataset
 from tests.integration.conftest import FRAMES, TINY, command, squeeze
@@ -88,6 +89,7 @@ def test_one_and_two_workers_make_the_same_sim_layer(
     assert arrays(tmp_path / "dough-dataset") == arrays(tiny_dataset)
 
 
+@pytest.mark.slow
 def test_one_flipped_byte_is_found_and_named(tiny_dataset: Path, tmp_path: Path) -> None:
     """Any byte of any file under data/ may flip: validate --deep names the file, exit code 1."""
     copy = shutil.copytree(tiny_dataset, tmp_path / "dough")

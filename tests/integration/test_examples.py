@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import doughdata
 
@@ -52,6 +53,7 @@ def test_add_a_sensor(tiny_dataset: Path, tmp_path: Path) -> None:
     assert 0.01 < (depth.depth[0] == 0).mean() < 0.2
 
 
+@pytest.mark.slow
 def test_cut_join_and_your_own_tool(tmp_path: Path) -> None:
     """Example 5 cuts a roll in two and joins it again, and opens a ring with a user's own wedge."""
     printed = run("05_cut_join_and_your_own_tool.py", tmp_path, cwd=tmp_path)

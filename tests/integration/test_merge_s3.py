@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from doughdata.dataset import open_dataset, validate
 from doughdata.dataset.measure import measure_arrays
 from doughdata.dataset.merge import merge
@@ -15,6 +17,7 @@ from tests.dataset_helpers import equal, new_writer, write_examples
 from tests.object_store import BUCKET, environment, object_store, set_environment
 
 
+@pytest.mark.slow
 def test_from_disk_to_s3_and_back(tmp_path: Path) -> None:
     """Datasets on a disk and in a bucket merge into a bucket, a subset of that comes back to the
     disk, and every record, card and statistic is what it would be on a disk."""

@@ -82,6 +82,7 @@ def test_names_of_components_do_not_matter(model: DoughNet) -> None:
     assert one == pytest.approx(two, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_the_squeeze_that_made_the_goal_is_found(model: DoughNet) -> None:
     """Scored by the latents that a known squeeze leads to, the search comes back to it."""
     wanted = Squeeze(tool="broad", position=(0.009, -0.006), yaw=-0.1, opening=0.004)

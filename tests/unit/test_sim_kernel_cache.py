@@ -39,6 +39,7 @@ def fall(cache: Path | str, **more: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_kept_kernels_give_the_same_bytes(tmp_path: Path) -> None:
     """Compiled, kept, damaged and locked: one result, and no word on stderr."""
     compiled = fall("off")

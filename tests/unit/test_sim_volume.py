@@ -139,7 +139,9 @@ def test_pressed_dough_keeps_volume_and_strength(thickness: float) -> None:
     assert along(solver) == pytest.approx(Material().yield_stress, rel=0.2)
 
 
-@pytest.mark.parametrize(("family", "number"), [(Rolls, 3), (Doughnut, 4)])
+@pytest.mark.parametrize(
+    ("family", "number"), [pytest.param(Rolls, 3, marks=pytest.mark.slow), (Doughnut, 4)]
+)
 def test_volume_of_a_scene(family, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """From first to last key frame dough keeps its closed volume, and once the fingers are gone
     mean det b is back within half a per cent.
