@@ -7,11 +7,10 @@ points; the reading of the same bonds, contacts and labels with the same sizes o
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 
@@ -79,6 +78,17 @@ class Once:
         return self.known[key]
 
 
+@contextmanager
+def computed_once() -> Iterator[None]:
+    """Within it, near pairs and tetrahedra of the same points are not computed twice."""
+    near, grown = bonds.near_keys, AlphaComplex.of
+    bonds.near_keys, AlphaComplex.of = Once(near), Once(grown)
+    try:
+        yield
+    finally:
+        bonds.near_keys, AlphaComplex.of = near, grown
+
+
 class Moved:
     """One scene's final genera under other thresholds."""
 
@@ -105,9 +115,7 @@ class Moved:
     def changed(self) -> list[str]:
         """The moved thresholds with which the scene ends in another way."""
         moved = moved_thresholds()
-        with ExitStack() as stack:
-            stack.enter_context(patch.object(bonds, "near_keys", Once(bonds.near_keys)))
-            stack.enter_context(patch.object(AlphaComplex, "of", Once(AlphaComplex.of)))
+        with computed_once():
             return [name for name in moved if self.end(moved[name]) != self.genus]
 
     def _check(self, config: DynamicConfig) -> DynamicCheck:
