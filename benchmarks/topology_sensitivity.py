@@ -25,7 +25,7 @@ from doughschemas import Particles, Scene
 __all__ = ["Moved", "moved_thresholds", "threshold_sensitivity"]
 
 FACTORS = (0.8, 1.2)
-READ_WITH = ("loop_birth", "loop_death", "loop_doubt")  # the thresholds of the readings
+READ_WITH = ("loop_birth", "hole_radius", "loop_doubt")  # the thresholds of the readings
 OF_STATES = ("pieces", "contacts", "bonds", "loops", "crossed", "changed")  # what readings go by
 
 

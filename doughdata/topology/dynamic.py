@@ -22,7 +22,9 @@ from doughdata.topology.tracking import (
 )
 from doughschemas import FrameTopology, Particles, Scene, Topology
 
-__all__ = ["DynamicCheck", "DynamicConfig"]
+__all__ = ["FILLED", "DynamicCheck", "DynamicConfig"]
+
+FILLED = 3**0.5 / 2  # [spacings], radius at which balls around a cubic lattice leave no gap
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +59,7 @@ class DynamicConfig:
     closer: float = 0.05  # or when its gap has closed by this much ...
     closer_far: float = 0.1  # ... and a neck far from the threshold by this share
     loop_birth: float = 1.0  # radius of balls around particles that close a hole's rim
-    loop_death: float = 1.55  # and that fill the hole: 6 mm across at 2 mm spacing
+    hole_radius: float = 0.684  # of a hole, beyond FILLED: 6 mm across at 2 mm spacing
     loop_doubt: float = 0.1  # a hole that other radii, so much off, do not have is unsure
     crumb_share: float = 0.02  # of all particles; a smaller piece is a crumb ...
     crumb_volume: float = 0.8e-6  # [m3] ... if it is also smaller than this
@@ -141,7 +143,7 @@ class DynamicCheck:
             spacing=particles.spacing,
             window=LoopWindow(
                 birth=self.config.loop_birth,
-                death=self.config.loop_death,
+                death=FILLED + self.config.hole_radius,
                 doubt=self.config.loop_doubt,
             ),
         )

@@ -2,11 +2,12 @@
 
 A genus is the number of loops that last while balls around the particles grow (`readings.py`). It
 is read at few key frames, more closely where two readings differ, or where something was merged or
-cut; in between, solids are looked at. It changes when a reading is firm (one value, also for holes
-a little smaller or larger) or leaves no room for the genus before, and lasts for four key frames or
-to the end of the scene; it grows only if something was merged within one piece: a cut takes handles
-away, and none comes from nothing. Else the genus before stays. A key frame is unsure if its
-readings exclude its genus; handles that only holes of some sizes show and no merge explains do not.
+cut; in between, solids are looked at. A change must last for four key frames or to the end of the
+scene. The genus falls with its readings: a cut takes handles away, and holes close. It grows only
+by what was merged within one piece, as none comes from nothing, and where a reading is firm (one
+value, also for holes a little smaller or larger) or leaves no room for the genus before. A key
+frame is unsure if its readings exclude its genus; handles that only holes of some sizes show and no
+merge explains do not.
 """
 
 import itertools
@@ -56,6 +57,10 @@ class _Thinned:
         """Thin a solid to a graph of at most so many cycles."""
         skeleton, clear = without_small_cycles(skeleton_of(solid), genus)
         return cls(skeleton, cycle_rank(len(skeleton.positions), skeleton.edges), clear)
+
+    def has(self, genus: int) -> bool:
+        """Whether it shows this genus, clearly."""
+        return self.clear and self.rank == genus
 
 
 NOT_YET = _Thinned(
@@ -163,12 +168,14 @@ class _Track:
         genus = [self.readings[known[k]].genus for k in before]
         edges = [0, *(k for k in range(1, len(genus)) if genus[k] != genus[k - 1]), len(genus)]
         spans = [(low, high) for low, high in itertools.pairwise(edges)]
-        kept = [high for low, high in spans if self._holds(low, high)]
+        kept = [high for low, high in spans if self._lasts(low, high) and self._firm(low, high)]
         value = min(genus[: kept[0]] if kept else genus)
         settled: list[int] = []
+        since = 0  # merges before this key frame have made their handles
         for low, high in spans:
-            if self._holds(low, high, value) and (genus[low] < value or self._may_grow(low, high)):
-                value = genus[low]
+            if self._lasts(low, high):
+                value = min(value, genus[low]) + (more := self._grown(low, high, value, since))
+                since = self.first + high if more else since
             settled += [value] * (high - low)
         sure = [
             self._fits(known[a], value) and (known[a] == frame or self._fits(known[b], value))
@@ -176,10 +183,21 @@ class _Track:
         ]
         return settled, sure
 
-    def _may_grow(self, low: int, high: int) -> bool:
-        """Whether a loop may have closed shortly before or in a span of the track."""
-        first = self.first + low - FLICKER
-        return low == 0 or any(self.loops[max(first, 0) : self.first + high])
+    def _lasts(self, low: int, high: int) -> bool:
+        """Whether a span is no flicker; after the last key frames none come to judge them."""
+        return high - low >= FLICKER or self.first + high == len(self.positions)
+
+    def _grown(self, low: int, high: int, value: int, since: int) -> int:
+        """By how much the genus grows in a span, as merges after `since` allow it."""
+        readings = self._span(low, high)
+        more = readings[0].genus - value
+        excluded = all(not reading.floor <= value <= reading.ceiling for reading in readings)
+        if more <= 0 or not (excluded or self._firm(low, high)):
+            return 0
+        if low == 0:
+            return more
+        merges = self.loops[max(self.first + low - FLICKER, since) : self.first + high]
+        return min(more, sum(merges))
 
     def _fits(self, frame: int, genus: int) -> bool:
         """Whether the reading of a key frame leaves this genus possible.
@@ -199,16 +217,12 @@ class _Track:
         until = frame + FLICKER  # a handle may be read a little before or after its merge
         return min(g + sum(self.loops[max(f - FLICKER, 0) : until]) for f, g in firm.items())
 
-    def _holds(self, low: int, high: int, genus: int | None = None) -> bool:
-        """Whether a span of equal readings is no flicker, and firm or without room for `genus`."""
-        # The last key frames of the scene have no later ones to judge them.
-        ends = self.first + high == len(self.positions)
+    def _firm(self, low: int, high: int) -> bool:
+        return any(reading.firm for reading in self._span(low, high))
+
+    def _span(self, low: int, high: int) -> list[Reading]:
         frames = range(self.first + low, self.first + high)
-        readings = [self.readings[frame] for frame in frames if frame in self.readings]
-        firm = any(reading.firm for reading in readings)
-        if genus is not None and not firm:
-            firm = all(not r.floor <= genus <= r.ceiling for r in readings)
-        return firm and (high - low >= FLICKER or ends)
+        return [self.readings[frame] for frame in frames if frame in self.readings]
 
     def _shapes(self, genus: list[int], sure: list[bool]) -> list[Shape]:
         shapes: list[Shape] = []
@@ -217,11 +231,13 @@ class _Track:
         start = np.zeros((0, 3))
         for offset, frame in enumerate(range(self.first, self.last + 1)):
             wanted, reading = genus[offset], self.readings.get(frame)
-            good = thin.clear and thin.rank == wanted
-            known = self._known(frame) == wanted
-            if made < 0 or (known and (not good or self._moved(made, frame) > RETHIN)):
-                new = _Thinned.of(self._solid_for(frame, wanted), wanted)
-                if not good or (new.clear and new.rank == wanted):
+            known, poor = self._known(frame) == wanted, not thin.has(wanted)
+            stale = known and self._moved(made, frame) > RETHIN if made >= 0 else True
+            if stale or (poor and (known or frame in self.readings)):
+                of = self._nearest(frame, wanted) if made < 0 else frame
+                new = _Thinned.of(self._solid(of, wanted), wanted)
+                shown = new.rank == wanted
+                if (shown and new.clear) or (poor and (shown or known or made < 0)):
                     made, thin = frame, new
                     anchor, start = self.members[offset], self._at(frame, self.members[offset])
                     node = np.asarray(KDTree(thin.skeleton.positions).query(start)[1])
@@ -230,7 +246,7 @@ class _Track:
             shapes.append(
                 Shape(
                     genus=thin.rank,  # the record's graph and genus agree, sure or not
-                    sure=sure[offset] and thin.clear and thin.rank == wanted,
+                    sure=sure[offset] and thin.has(wanted),
                     nodes=nodes + moved,
                     skeleton=thin.skeleton,
                     parted=reading is not None and reading.parted,
@@ -244,14 +260,17 @@ class _Track:
             return self.readings[frame].genus
         return self.looks[frame][0] if frame in self.looks else None
 
-    def _solid_for(self, frame: int, genus: int) -> Solid:
-        """The solid of a key frame, or of the nearest one known to have this genus."""
+    def _nearest(self, frame: int, genus: int) -> int:
+        """The nearest key frame that is known to have this genus, or was read."""
         near = [f for f in (*self.readings, *self.looks) if self._known(f) == genus]
-        nearest = min(near, key=lambda f: (abs(f - frame), f))
-        if nearest not in self.readings:
-            return self.looks[nearest][1]
-        x = self._at(nearest, self.members[nearest - self.first])
-        return solid_with(x, self.readings[nearest].walls, self.spacing, genus)
+        return min(near or self.readings, key=lambda f: (abs(f - frame), f))
+
+    def _solid(self, frame: int, genus: int) -> Solid:
+        """The solid of a key frame that was read, if it can with this genus, or looked at."""
+        if frame not in self.readings:
+            return self.looks[frame][1]
+        x = self._at(frame, self.members[frame - self.first])
+        return solid_with(x, self.readings[frame].walls, self.spacing, genus)
 
 
 def read_shapes(

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from doughdata.topology.alpha import AlphaComplex
-from doughdata.topology.dynamic import DynamicConfig
+from doughdata.topology.dynamic import FILLED, DynamicConfig
 from doughdata.topology.genus import read_shapes
 from doughdata.topology.pairs import decode, near_keys
 from doughdata.topology.readings import LoopWindow, has_no_loop, read_component
@@ -19,7 +19,7 @@ from tests.topology_states import SPACING, lattice
 
 WINDOW = LoopWindow(
     birth=DynamicConfig().loop_birth,
-    death=DynamicConfig().loop_death,
+    death=FILLED + DynamicConfig().hole_radius,
     doubt=DynamicConfig().loop_doubt,
 )
 
@@ -102,6 +102,51 @@ def test_a_small_hole_is_a_doubt_only_after_a_merge(merge: int | None, sure: boo
     assert [own[0].genus for own in shapes] == [0] * 12
     assert shapes[0][0].sure
     assert [own[0].sure for own in shapes[8:]] == [sure] * 4
+
+
+def genera(bodies: list[np.ndarray], *, merges: int = 0, at: int = 8) -> list[int]:
+    """Genus of one body in every key frame, with so many merges within it in one of them."""
+    x = np.stack(bodies).astype(np.float32)
+    frames, (count, _) = len(x), bodies[0].shape
+    shapes = read_shapes(
+        x,
+        [np.zeros(count, np.uint8)] * frames,
+        [decode(near_keys(own.astype(float), 2 * SPACING), count) for own in x],
+        [np.zeros((0, 2), np.int64)] * frames,
+        loops=[merges * (k == at) for k in range(frames)],
+        changed=[merges > 0 and k == at for k in range(frames)],
+        crossed=[False] * frames,
+        spacing=SPACING,
+        window=WINDOW,
+    )
+    assert [len(own) for own in shapes] == [1] * frames
+    for (shape,) in shapes:
+        assert len(shape.skeleton.edges) - len(shape.nodes) + 1 == shape.genus
+    return [shape.genus for (shape,) in shapes]
+
+
+def test_a_hole_that_shrinks_is_gone_at_the_smallest_size_that_counts() -> None:
+    """Nothing was merged: the last readings have no hole, but are not sure of it."""
+    small = doubtful_plate()
+    assert genera([small * (1.5, 1.5, 1.0)] * 6 + [small] * 6) == [1] * 6 + [0] * 6
+
+
+def plate_with_three_holes() -> np.ndarray:
+    """Of 8 mm each, in a row."""
+
+    def inside(g: np.ndarray) -> np.ndarray:
+        rows = [np.hypot(g[:, 0] - middle, g[:, 1]) for middle in (-0.018, 0.0, 0.018)]
+        return np.min(rows, axis=0) > 0.004
+
+    return lattice((-0.028, -0.010, 0), (0.028, 0.010, 0.006), inside)
+
+
+@pytest.mark.parametrize("merges", range(5))
+def test_there_are_no_more_new_handles_than_merges(merges: int) -> None:
+    """Three holes open at once; what no merge within the piece explains is none."""
+    open_ = plate_with_three_holes()
+    closed = open_ * (0.5, 0.5, 1.0)
+    assert genera([closed] * 8 + [open_] * 8, merges=merges) == [0] * 8 + [min(merges, 3)] * 8
 
 
 def frame_of(labels: np.ndarray) -> FrameTopology:
