@@ -44,11 +44,10 @@ BITS = 1 << np.arange(8)
 
 def cell_codes(inside: Bool[np.ndarray, "nx ny nz"]) -> UInt8[np.ndarray, "cx cy cz"]:
     """Corner states of every cell as eight bits."""
-    nx, ny, nz = (n - 1 for n in inside.shape)
-    bits = inside.view(np.uint8)
-    codes = np.zeros((nx, ny, nz), np.uint8)
-    for corner, (i, j, k) in enumerate(CORNERS):
-        codes |= bits[i : nx + i, j : ny + j, k : nz + k] << np.uint8(corner)
+    codes = inside.view(np.uint8)
+    for axis, width in ((2, 1), (1, 2), (0, 4)):  # corners along z, then of faces, then of cells
+        rows = np.moveaxis(codes, axis, 0)
+        codes = np.moveaxis(rows[:-1] | rows[1:] << np.uint8(width), 0, axis)
     return codes
 
 

@@ -9,6 +9,7 @@ are in cells.
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int
 
+from doughdata.mesh.compiled import nearest_points, spread_distance
 from doughdata.registry import require_package
 
 __all__ = ["sharpen"]
@@ -45,19 +46,17 @@ def sharpen(
     point, normal, distance = _planes(field, per)
     if len(point) < PLANES:
         return None
-    tree = spatial.cKDTree(point)
-    a, b = tree.query_pairs(FIT_REACH * per, output_type="ndarray").T
+    a, b = spatial.cKDTree(point).query_pairs(FIT_REACH * per, output_type="ndarray").T
     edge = np.unique(np.stack([a, b])[:, (normal[a] * normal[b]).sum(axis=1) < TURN])
     if not len(edge):
         return None
-    flat = field.reshape(-1)
-    index = np.flatnonzero((flat > BAND[0] * per) & (flat < BAND[1] * per))
+    flat, reach = field.reshape(-1), EDGE_REACH * per
+    beside = spread_distance(point[edge], field.shape, reach).reshape(-1) < reach
+    index = np.flatnonzero(beside & (flat > BAND[0] * per) & (flat < BAND[1] * per))
     nodes = np.stack(np.unravel_index(index, field.shape), axis=1).astype(float)
-    away, _ = spatial.cKDTree(point[edge]).query(nodes, distance_upper_bound=EDGE_REACH * per)
-    index, nodes = index[np.isfinite(away)], nodes[np.isfinite(away)]
     normal, distance = _averaged(point, normal, distance, np.r_[a, b], np.r_[b, a])
     offset = distance - (normal * point).sum(axis=1)
-    _, near = tree.query(nodes, k=PLANES)
+    near = nearest_points(point, nodes, PLANES, 2.0 * per)
     value = np.einsum("nki,ni->nk", normal[near], nodes) + offset[near]
     rank = int(SHARE * (PLANES - 1))
     value = np.partition(value, rank, axis=1)[:, rank]

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt16
@@ -24,7 +23,6 @@ from doughschemas import (
     ComponentMesh,
     ComponentMeshes,
     DepthViews,
-    Intrinsics,
     Scene,
     ToolPoses,
 )
@@ -75,8 +73,8 @@ class DepthRenderer:
                 scene.add_triangles(vertices, np.ascontiguousarray(mesh.faces, np.uint32))
                 segment_of.append(segment)
         lookup = np.array([*segment_of, SEGMENT_NONE], np.uint8)
-        rays = np.concatenate([_rays(camera).reshape(-1, 6) for camera in cameras])
-        hits = scene.cast_rays(o3d.core.Tensor.from_numpy(rays), nthreads=THREADS)
+        rays = o3d.core.Tensor.from_numpy(_rays(cameras))
+        hits = scene.cast_rays(rays, nthreads=THREADS)
         distance, geometry = hits["t_hit"].numpy(), hits["geometry_ids"].numpy()
         # Rays have z = 1 in the camera, so the distance in units of the ray is the depth.
         depth = np.where(np.isfinite(distance), distance, np.float32(0))
@@ -211,20 +209,21 @@ def _generator(scene: Scene, *key: str | int) -> np.random.Generator:
     return np.random.default_rng(seed_sequence(scene.seed, scene.scene_id, *key))
 
 
-@lru_cache(maxsize=8)
-def _camera_rays(intrinsics: Intrinsics) -> Float32[np.ndarray, "pixels 3"]:
-    rays = pixel_rays(intrinsics).reshape(-1, 3).astype(np.float32)
-    rays.setflags(write=False)  # it is shared
-    return rays
-
-
-def _rays(camera: Camera) -> Float32[np.ndarray, "pixels 6"]:
-    """Origin and direction in the world, one ray a pixel, row-major."""
-    directions = _camera_rays(camera.intrinsics)
-    rays = np.empty((len(directions), 6), np.float32)
-    rays[:, :3] = camera.position
-    rotation = quaternion_to_matrix(np.array(camera.quaternion)).astype(np.float32)
-    rays[:, 3:] = directions @ rotation.T
+def _rays(cameras: Sequence[Camera]) -> Float32[np.ndarray, "pixels 6"]:
+    """Origin and direction in the world, one ray a pixel, row-major, camera after camera."""
+    shapes = [(camera.intrinsics.height, camera.intrinsics.width) for camera in cameras]
+    rays = np.empty((sum(rows * columns for rows, columns in shapes), 6), np.float32)
+    start = 0
+    for camera, (rows, columns) in zip(cameras, shapes, strict=True):
+        part = rays[start : start + rows * columns].reshape(rows, columns, 6)
+        part[..., :3] = camera.position
+        pixels = pixel_rays(camera.intrinsics)
+        across, down = pixels[0, :, 0], pixels[:, 0, 1]
+        # A ray is (x of its column, y of its row, 1), so only sums are left for every pixel.
+        for axis, (x, y, z) in enumerate(quaternion_to_matrix(np.array(camera.quaternion))):
+            column, row = (across * x).astype(np.float32), (down * y + z).astype(np.float32)
+            np.add(column, row[:, None], out=part[..., 3 + axis])
+        start += rows * columns
     return rays
 
 
