@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 DEMO := demo-dataset
 
 
-# The model that ships: 256 scenes to learn from, 64 that are held out.
+# The model that ships: 400 scenes to learn from, 64 that are held out.
 MODEL_DATA := model-dataset
 MODEL_RUN := model-run
 MODEL_PRESET := tiny
@@ -59,8 +59,8 @@ bench: setup
 
 # Killed at any moment, the same command goes on. MODEL_MINUTES is the time of either stage.
 bench-model: setup
-	$(BIN)/doughdata generate --scenes rolls,doughnut --num-scenes 128 --dataset $(MODEL_DATA)
-	$(BIN)/doughdata generate --scenes rolls,doughnut --num-scenes 32 --split test --dataset $(MODEL_DATA)
+	$(BIN)/doughdata generate --scenes rolls,doughnut --num-scenes 200 --seed 7 --dataset $(MODEL_DATA)
+	$(BIN)/doughdata generate --scenes rolls,doughnut --num-scenes 32 --seed 7 --split test --dataset $(MODEL_DATA)
 	$(BIN)/doughdata render --noise realsense --dataset $(MODEL_DATA)
 	for stage in autoencoder dynamics; do \
 	  $(BIN)/doughnet train $$stage --preset $(MODEL_PRESET) --minutes $(MODEL_MINUTES) --resume \
