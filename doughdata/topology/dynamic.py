@@ -50,7 +50,7 @@ class DynamicConfig:
     handle: float = 0.009  # [m] from the patch, beyond which particles are driven
     pull_distance: float = 0.004  # [m], each side
     pull_speed: float = 0.25  # [m/s], each side
-    path_radius: float = 2.25  # steps of a path between the driven ends
+    path_gap: float = 1.25  # widest, beside one spacing, that a step of a path crosses
     merged_paths: float = 5.0  # at least so many disjoint paths: one piece
     split_paths: float = 3.5  # fewer, in units of resting dough: parted
     neck_gate: float = 0.6  # of the thickness beside it, below which a neck is tested

@@ -166,38 +166,55 @@ class _Track:
         before = np.searchsorted(known, frames, side="right") - 1
         after = np.minimum(before + 1, len(known) - 1)
         genus = [self.readings[known[k]].genus for k in before]
-        edges = [0, *(k for k in range(1, len(genus)) if genus[k] != genus[k - 1]), len(genus)]
-        spans = [(low, high) for low, high in itertools.pairwise(edges)]
-        kept = [high for low, high in spans if self._lasts(low, high) and self._firm(low, high)]
-        value = min(genus[: kept[0]] if kept else genus)
-        settled: list[int] = []
-        since = 0  # merges before this key frame have made their handles
-        for low, high in spans:
-            if self._lasts(low, high):
-                value = min(value, genus[low]) + (more := self._grown(low, high, value, since))
-                since = self.first + high if more else since
-            settled += [value] * (high - low)
+        settled = self._weighed(genus)
         sure = [
             self._fits(known[a], value) and (known[a] == frame or self._fits(known[b], value))
             for a, b, frame, value in zip(before, after, frames.tolist(), settled, strict=True)
         ]
         return settled, sure
 
+    def _weighed(self, genus: list[int]) -> list[int]:
+        """What is read in every key frame, less what does not last or no merge explains."""
+        value, left = self._at_first(genus), list(self.loops)
+        settled: list[int] = []
+        while (low := len(settled)) < len(genus):
+            side = np.sign(np.array(genus[low:]) - value)
+            high = low + int(np.argmax(np.r_[side != side[0], True]))
+            more = 0
+            if side[0] > 0 and self._lasts(low, high):
+                more = self._grown(low, high, value, left)
+            elif side[0] < 0 and self._lasts(low, high):
+                more = max(genus[low:high]) - value
+            value += more
+            settled += [] if more else [value] * (high - low)
+        return settled
+
+    def _at_first(self, genus: list[int]) -> int:
+        """Least genus up to the first that is read firmly and lasts."""
+        edges = [0, *(k for k in range(1, len(genus)) if genus[k] != genus[k - 1]), len(genus)]
+        for low, high in itertools.pairwise(edges):
+            if self._lasts(low, high) and any(r.firm for r in self._between(low, high)):
+                return min(genus[:high])
+        return min(genus)
+
     def _lasts(self, low: int, high: int) -> bool:
         """Whether a span is no flicker; after the last key frames none come to judge them."""
         return high - low >= FLICKER or self.first + high == len(self.positions)
 
-    def _grown(self, low: int, high: int, value: int, since: int) -> int:
-        """By how much the genus grows in a span, as merges after `since` allow it."""
-        readings = self._span(low, high)
-        more = readings[0].genus - value
+    def _grown(self, low: int, high: int, value: int, left: list[int]) -> int:
+        """By how much the genus grows in a span above it; takes that from the merges `left`."""
+        readings = self._between(low, high)
         excluded = all(not reading.floor <= value <= reading.ceiling for reading in readings)
-        if more <= 0 or not (excluded or self._firm(low, high)):
+        if not excluded and not any(reading.firm for reading in readings):
             return 0
+        wanted = min(reading.genus for reading in readings) - value
         if low == 0:
-            return more
-        merges = self.loops[max(self.first + low - FLICKER, since) : self.first + high]
-        return min(more, sum(merges))
+            return wanted
+        taken = 0
+        for frame in range(max(self.first + low - FLICKER, 0), self.first + high):
+            taken += (now := min(left[frame], wanted - taken))
+            left[frame] -= now
+        return taken
 
     def _fits(self, frame: int, genus: int) -> bool:
         """Whether the reading of a key frame leaves this genus possible.
@@ -217,10 +234,7 @@ class _Track:
         until = frame + FLICKER  # a handle may be read a little before or after its merge
         return min(g + sum(self.loops[max(f - FLICKER, 0) : until]) for f, g in firm.items())
 
-    def _firm(self, low: int, high: int) -> bool:
-        return any(reading.firm for reading in self._span(low, high))
-
-    def _span(self, low: int, high: int) -> list[Reading]:
+    def _between(self, low: int, high: int) -> list[Reading]:
         frames = range(self.first + low, self.first + high)
         return [self.readings[frame] for frame in frames if frame in self.readings]
 

@@ -218,7 +218,7 @@ class History:
         }
 
     def _paths(self, positions: Float64[np.ndarray, "crop 3"], test: PullTest) -> float:
-        radius = self.config.path_radius * self.graph.spacing
+        radius = (1 + self.config.path_gap) * self.graph.spacing
         return float(disjoint_paths(positions, test.first, test.second, radius))
 
     def _cut_sides(
@@ -226,7 +226,7 @@ class History:
     ) -> UInt8[np.ndarray, " particles"]:
         """Side 1 or 2 of every particle of the crop: the end that it stays with."""
         near = KDTree(pulled)
-        radius = self.config.path_radius * self.graph.spacing
+        radius = (1 + self.config.path_gap) * self.graph.spacing
         while True:
             piece = connected(near.query_pairs(radius, output_type="ndarray"), len(pulled))
             held = [np.isin(piece, piece[end]) for end in (test.first, test.second)]

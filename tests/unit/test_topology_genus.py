@@ -149,6 +149,15 @@ def test_there_are_no_more_new_handles_than_merges(merges: int) -> None:
     assert genera([closed] * 8 + [open_] * 8, merges=merges) == [0] * 8 + [min(merges, 3)] * 8
 
 
+def test_a_handle_lasts_while_more_are_read_than_merges_explain() -> None:
+    """One merge, one hole for three key frames, which is no time, then three."""
+    three = plate_with_three_holes()
+    closed = three * (0.5, 0.5, 1.0)
+    one = three.copy()
+    one[:, 1] *= np.where(np.abs(three[:, 0]) < 0.009, 1.0, 0.3)
+    assert genera([closed] * 8 + [one] * 3 + [three] * 6, merges=1) == [0] * 8 + [1] * 9
+
+
 def frame_of(labels: np.ndarray) -> FrameTopology:
     number = int(labels[labels != STRAY].max()) + 1
     return FrameTopology(
