@@ -1,11 +1,12 @@
 """Loops over points and what lies around them, compiled by numba.
 
 The only compiled code of the mesher. Lengths are in cells: node (i, j, k) is at (i, j, k). Machine
-code is kept beside this file, or in the user's cache where that cannot be written to. Sums keep
-their order, so that results are the same on every machine.
+code is kept in `NUMBA_CACHE_DIR` if that is set, else beside this file, else in the user's cache.
+Sums keep their order, so that results are the same on every machine.
 """
 
-from typing import no_type_check
+from collections.abc import Callable
+from typing import Any, no_type_check
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
@@ -14,7 +15,16 @@ from numba import njit
 __all__ = ["nearest_points", "spread_distance", "spread_nearest"]
 
 
-compiled = njit(cache=True, fastmath={"nnan"})  # no coordinate is not a number
+FAST = {"nnan"}  # no coordinate is not a number
+
+
+@no_type_check
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile at the first call, or take the machine code of an earlier process."""
+    try:
+        return njit(cache=True, fastmath=FAST)(function)
+    except RuntimeError:  # no folder that can be written to: compiled by every process
+        return njit(fastmath=FAST)(function)
 
 
 @compiled
