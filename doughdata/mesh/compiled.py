@@ -2,7 +2,7 @@
 
 The only compiled code of the mesher. Lengths are in cells: node (i, j, k) is at (i, j, k). Machine
 code is kept in `NUMBA_CACHE_DIR` if that is set, else beside this file, else in the user's cache.
-Sums keep their order, so that results are the same on every machine.
+No sum is reordered.
 """
 
 from collections.abc import Callable

@@ -25,7 +25,7 @@ def closing_field(
 ) -> Float32[np.ndarray, "nx ny nz"]:
     """Distance to the closing of `points`, negative inside, on the nodes of a lattice.
 
-    Exact up to the sampling of the inflated surface (one sample a cell) where the result is
+    Exact up to the sampling of the inflated surface (`RIM`) where the result is
     within `band` of `level`; further away it stays beyond.
 
     Args:

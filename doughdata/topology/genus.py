@@ -251,7 +251,7 @@ class _Track:
                 of = self._nearest(frame, wanted) if made < 0 else frame
                 new = _Thinned.of(self._solid(of, wanted), wanted)
                 shown = new.rank == wanted
-                if (shown and new.clear) or (poor and (shown or known or made < 0)):
+                if new.has(wanted) or (poor and (shown or known or made < 0)):
                     made, thin = frame, new
                     anchor, start = self.members[offset], self._at(frame, self.members[offset])
                     node = np.asarray(KDTree(thin.skeleton.positions).query(start)[1])
