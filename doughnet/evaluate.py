@@ -4,9 +4,10 @@ Rows, each a mean over frames: `reconstruction` (every frame from its own view),
 without the first frame: what perfect dynamics would reach), `single_step` (each frame from the view
 before it), `full_sequence` (all from the first view), `final` (its last frame), `copy_first_frame`
 (the true first frame for all others: what a model must beat). `unlabelled` repeats rows with an
-encoder that is not told which component a point belongs to.
+encoder that is not told which component a point belongs to. Each has its interval over scenes.
 """
 
+import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -22,10 +23,11 @@ from doughdata.torch import DoughSequences
 from doughdata.torch.sampling import inside_tools
 from doughnet.lattice import Lattice, on_lattice, workspace_lattice
 from doughnet.metrics import TopologyScore, score
-from doughnet.model import DoughNet, Shape
+from doughnet.model import DoughNet
+from doughnet.tables import Scored, table_row, with_steps
 from doughschemas import NO_COMPONENT
 
-__all__ = ["Row", "Scored", "Truth", "evaluate", "score_frame", "summary"]
+__all__ = ["Timer", "Truth", "evaluate", "score_frame", "scored"]
 
 Progress = Callable[[int, int], None]  # scenes done, scenes in all
 
@@ -57,16 +59,8 @@ class Truth:
         return tuple(sorted(self.genus))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scored:
-    """Metrics of one predicted frame, and the class of the true one."""
-
-    score: TopologyScore
-    topology: tuple[int, ...]
-
-
-Rows = dict[str, list[Scored]]
-Row = dict[str, float]
+STEPWISE = ("single_step", "full_sequence")
+Rows = dict[str, list[list[Scored]]]  # frames of every scene
 
 
 @torch.inference_mode()
@@ -79,6 +73,9 @@ def evaluate(
 ) -> dict[str, Any]:
     """The table of a model over whole sequences, in percent.
 
+    `fps` counts predicted key frames a second of this process, geometry and topology, one scene
+    after the other. `single_step` and `full_sequence` also come by step and by scene.
+
     Args:
         model: on the CPU, in evaluation mode.
         dataset: whole scenes (`length=None`).
@@ -88,42 +85,49 @@ def evaluate(
     lattice = lattice or workspace_lattice()
     rows: Rows = defaultdict(list)
     blind: Rows = defaultdict(list)
-    inconsistent = 0
+    inconsistent, timer = 0, Timer()
     for index in range(len(dataset)):
         sample = dataset[index]
         pairs = zip(sample["scene_index"].tolist(), sample["frame_index"].tolist(), strict=True)
         frames = [dataset.source.frame(scene=scene, frame=frame) for scene, frame in pairs]
         truths = [Truth.of_frame(frame, lattice) for frame in frames]
-        inconsistent += _score_scene(model, sample, truths, lattice, rows)
+        inconsistent += _score_scene(model, sample, truths, lattice, rows, timer)
         _score_unlabelled(model, sample, truths, lattice, blind)
         if progress is not None:
             progress(index + 1, len(dataset))
-    table: dict[str, Any] = {name: summary(scored) for name, scored in rows.items()}
-    final = [one.score.volume_iou for one in rows["copy_final"]]
-    table["copy_first_frame"]["final_viou"] = _percent(final)
-    del table["copy_final"]
+    final = table_row(rows.pop("copy_final")) if "copy_final" in rows else {}
+    table = {
+        name: with_steps(scenes) if name in STEPWISE else table_row(scenes)
+        for name, scenes in rows.items()
+    }
+    if final:
+        table["copy_first_frame"]["final_viou"] = final["viou"]
     return {
         "scenes": len(dataset),
         **table,
         "inconsistent": inconsistent,
-        "unlabelled": {name: summary(scored) for name, scored in blind.items()},
+        "fps": timer.per_second,
+        "unlabelled": {name: table_row(scenes) for name, scenes in blind.items()},
     }
 
 
-def summary(scored: Sequence[Scored]) -> Row:
-    """Means of a row in percent; `balanced_accg` is the mean over the topologies that occur."""
-    classes: dict[tuple[int, ...], list[bool]] = defaultdict(list)
-    for one in scored:
-        classes[one.topology].append(one.score.right_genus)
-    return {
-        "viou": _percent(one.score.volume_iou for one in scored),
-        "ciou": _percent(one.score.component_iou for one in scored),
-        "accc": _percent(one.score.right_count for one in scored),
-        "accg": _percent(one.score.right_genus for one in scored),
-        "balanced_accg": _percent(float(np.mean(right)) for right in classes.values()),
-        "accg_components": _percent(one.score.genus_share for one in scored),
-        "frames": len(scored),
-    }
+class Timer:
+    """Counts what is predicted, and the seconds that it takes."""
+
+    def __init__(self) -> None:
+        self.seconds, self.count, self._start = 0.0, 0, 0.0
+
+    def __enter__(self) -> "Timer":
+        self._start = time.perf_counter()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds += time.perf_counter() - self._start
+
+    @property
+    def per_second(self) -> float:
+        """Predicted frames a second."""
+        return round(self.count / self.seconds, 2) if self.seconds else 0.0
 
 
 def score_frame(
@@ -149,34 +153,44 @@ def score_frame(
     )
 
 
+def scored(labels: Any, genus: Sequence[int], truth: Truth, lattice: Lattice) -> Scored:
+    """`score_frame`, with the class of the true frame."""
+    return Scored(score=score_frame(labels, genus, truth, lattice), topology=truth.topology)
+
+
 def _score_scene(
     model: DoughNet,
     sample: dict[str, Tensor],
     truths: Sequence[Truth],
     lattice: Lattice,
     rows: Rows,
+    timer: Timer,
 ) -> int:
     """Add a scene to all rows; returns in how many predicted frames masks and genera disagree."""
     seen = model.encode(sample["points"], sample["point_labels"])
-    steps = len(truths) - 1
-    tools = sample["tool_points"]
-    for k, truth in enumerate(truths):
-        found = _scored(model.decode(seen[k], lattice), truth, lattice)
-        rows["reconstruction"].append(found)
-        rows["ceiling"] += [found] if k else []
+    steps, tools = len(truths) - 1, sample["tool_points"]
+    rows["reconstruction"].append(_scored(model, seen, truths, lattice))
     if steps == 0:
         return 0
+    rows["ceiling"].append(rows["reconstruction"][-1][1:])
     pairs = torch.stack([tools[:-1], tools[1:]], dim=1)
-    for k, latents in enumerate(model.rollout(seen[:-1], pairs)[:, 0]):
-        rows["single_step"].append(_scored(model.decode(latents, lattice), truths[k + 1], lattice))
-    shapes = [model.decode(z, lattice) for z in model.rollout(seen[:1], tools[None])[0]]
-    first = truths[0]
-    for shape, truth in zip(shapes, truths[1:], strict=True):
-        rows["full_sequence"].append(_scored(shape, truth, lattice))
-        copied = score_frame(first.labels, first.genus, truth, lattice)
-        rows["copy_first_frame"].append(Scored(score=copied, topology=truth.topology))
-    rows["final"].append(rows["full_sequence"][-1])
-    rows["copy_final"].append(rows["copy_first_frame"][-1])
+    single = model.rollout(seen[:-1], pairs)[:, 0]
+    rows["single_step"].append(_scored(model, single, truths[1:], lattice))
+    with timer:
+        first = model.encode(sample["points"][:1], sample["point_labels"][:1])
+        shapes = [model.decode(z, lattice) for z in model.rollout(first, tools[None])[0]]
+        found = [shape.components() for shape in shapes]
+    timer.count += steps
+    full = [
+        scored(labels, genus, truth, lattice)
+        for (labels, genus), truth in zip(found, truths[1:], strict=True)
+    ]
+    begin = truths[0]
+    copied = [scored(begin.labels, begin.genus, truth, lattice) for truth in truths[1:]]
+    rows["full_sequence"].append(full)
+    rows["final"].append(full[-1:])
+    rows["copy_first_frame"].append(copied)
+    rows["copy_final"].append(copied[-1:])
     return sum(not shape.consistent for shape in shapes)
 
 
@@ -190,21 +204,19 @@ def _score_unlabelled(
     """The rows that start from views whose points belong to no component."""
     none = torch.full_like(sample["point_labels"], NO_COMPONENT)
     seen = model.encode(sample["points"], none)
-    for k, truth in enumerate(truths):
-        rows["reconstruction"].append(_scored(model.decode(seen[k], lattice), truth, lattice))
+    rows["reconstruction"].append(_scored(model, seen, truths, lattice))
     if len(truths) == 1:
         return
     latents = model.rollout(seen[:1], sample["tool_points"][None])[0]
-    for z_TD, truth in zip(latents, truths[1:], strict=True):
-        rows["full_sequence"].append(_scored(model.decode(z_TD, lattice), truth, lattice))
-    rows["final"].append(rows["full_sequence"][-1])
+    rows["full_sequence"].append(_scored(model, latents, truths[1:], lattice))
+    rows["final"].append(rows["full_sequence"][-1][-1:])
 
 
-def _scored(shape: Shape, truth: Truth, lattice: Lattice) -> Scored:
-    labels, genus = shape.components()
-    return Scored(score=score_frame(labels, genus, truth, lattice), topology=truth.topology)
-
-
-def _percent(values: Iterable[float]) -> float:
-    found = list(values)
-    return round(100 * float(np.mean(found)), 2) if found else 0.0
+def _scored(
+    model: DoughNet, latents: Iterable[Tensor], truths: Sequence[Truth], lattice: Lattice
+) -> list[Scored]:
+    """Metrics of the shapes of some latents, one after the other."""
+    return [
+        scored(*model.decode(z_TD, lattice).components(), truth, lattice)
+        for z_TD, truth in zip(latents, truths, strict=True)
+    ]

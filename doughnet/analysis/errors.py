@@ -8,9 +8,10 @@ from typing import Any
 import torch
 
 from doughdata.torch import DoughSequences
-from doughnet.evaluate import Scored, Truth, score_frame, summary
+from doughnet.evaluate import Truth, scored
 from doughnet.lattice import Lattice, workspace_lattice
 from doughnet.model import DoughNet, Shape
+from doughnet.tables import Scored, summary
 
 __all__ = ["Errors", "Failure", "sequence_errors"]
 
@@ -62,14 +63,14 @@ def sequence_errors(
         for step, z_TD in enumerate(latents):
             shape = model.decode(z_TD, lattice)
             place = int(sample["scene_index"][step]), int(sample["frame_index"][step])
-            scored = _scored(dataset, shape, place, lattice)
-            steps[step].append(scored)
-            own.append(scored.score.right_genus)
+            one = _scored(dataset, shape, place, lattice)
+            steps[step].append(one)
+            own.append(one.score.right_genus)
             if step:
                 predicted += 1
                 inconsistent += not shape.consistent
-                if not scored.score.right_genus:
-                    failures.append(_failure(shape, place, scored))
+                if not one.score.right_genus:
+                    failures.append(_failure(shape, place, one))
         right.append(own)
         if progress is not None:
             progress(index + 1, len(dataset))
@@ -87,18 +88,16 @@ def _scored(
     dataset: DoughSequences, shape: Shape, place: tuple[int, int], lattice: Lattice
 ) -> Scored:
     frame = dataset.source.frame(scene=place[0], frame=place[1])
-    truth = Truth.of_frame(frame, lattice)
-    labels, genus = shape.components()
-    return Scored(score=score_frame(labels, genus, truth, lattice), topology=truth.topology)
+    return scored(*shape.components(), Truth.of_frame(frame, lattice), lattice)
 
 
-def _failure(shape: Shape, place: tuple[int, int], scored: Scored) -> Failure:
+def _failure(shape: Shape, place: tuple[int, int], one: Scored) -> Failure:
     return Failure(
         scene_index=place[0],
         frame_index=place[1],
-        volume_iou=scored.score.volume_iou,
+        volume_iou=one.score.volume_iou,
         predicted=tuple(sorted(g for g in shape.genus if g is not None)),
-        true=scored.topology,
+        true=one.topology,
         inconsistent=not shape.consistent,
     )
 

@@ -1,6 +1,5 @@
 """One table for all ways to predict a sequence from its first view and the tool's motion."""
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
@@ -12,10 +11,10 @@ from torch import Tensor
 from doughdata.dataset import Frame
 from doughdata.torch import DoughSequences
 from doughnet.baselines.occupancy import static_components
-from doughnet.evaluate import Row, Scored, Truth, score_frame, summary
-from doughnet.intervals import bootstrap
+from doughnet.evaluate import Timer, Truth, scored
 from doughnet.lattice import Lattice, on_lattice, workspace_lattice
 from doughnet.model import DoughNet
+from doughnet.tables import Scored, table_row, with_steps
 
 __all__ = ["Copy", "Found", "Method", "Model", "Vpm", "evaluate_method"]
 
@@ -96,51 +95,32 @@ def evaluate_method(
     lattice: Lattice | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Rows `full_sequence` and `final` of a method, in percent, with 95 % intervals over scenes.
-
-    `fps` counts predicted key frames a second of this process, geometry and topology, one scene
-    after the other.
-    """
+    """Rows `full_sequence` and `final` of a method and its `fps`, as `evaluate` gives them."""
     lattice = lattice or workspace_lattice()
     scenes: list[list[Scored]] = []
-    seconds, predicted = 0.0, 0
+    timer = Timer()
     for index in range(len(dataset)):
         sample = dataset[index]
         frames = [
             dataset.source.frame(scene=int(scene), frame=int(frame))
             for scene, frame in zip(sample["scene_index"], sample["frame_index"], strict=True)
         ]
-        start = time.perf_counter()
-        found = method.sequence(sample, frames, lattice)
-        seconds += time.perf_counter() - start
-        predicted += len(found)
+        with timer:
+            found = method.sequence(sample, frames, lattice)
+        timer.count += len(found)
         scenes.append(
             [
-                _scored(labels, genus, frame, lattice)
+                scored(labels, genus, Truth.of_frame(frame, lattice), lattice)
                 for (labels, genus), frame in zip(found, frames[1:], strict=True)
             ]
         )
         if progress is not None:
             progress(index + 1, len(dataset))
-    finals = [[own[-1]] for own in scenes if own]
     return {
         "method": method.name,
         "scenes": len(dataset),
-        "full_sequence": _row(scenes),
-        "final": _row(finals),
-        "fps": round(predicted / seconds, 2) if seconds else 0.0,
+        "full_sequence": with_steps(scenes),
+        "final": table_row([own[-1:] for own in scenes]),
+        "fps": timer.per_second,
         "failed": method.failed,
     }
-
-
-def _scored(labels: Any, genus: Sequence[int], frame: Frame, lattice: Lattice) -> Scored:
-    truth = Truth.of_frame(frame, lattice)
-    score = score_frame(labels, genus, truth, lattice)
-    return Scored(score=score, topology=truth.topology)
-
-
-def _row(scenes: Sequence[Sequence[Scored]]) -> dict[str, Any]:
-    def mean(chosen: Sequence[Sequence[Scored]]) -> Row:
-        return summary([one for own in chosen for one in own])
-
-    return {**mean(scenes), "interval": bootstrap(scenes, mean)}

@@ -13,7 +13,9 @@ from doughnet.config import ModelConfig
 from doughnet.evaluate import evaluate
 from doughnet.intervals import bootstrap
 from doughnet.lattice import Lattice
+from doughnet.metrics import TopologyScore
 from doughnet.model import DoughNet
+from doughnet.tables import Scored, table_row, with_steps
 from doughschemas import SimulationError
 from tests.closed_form import cut_ring, joined_bars
 from tests.dataset_helpers import new_writer, write_examples
@@ -76,8 +78,9 @@ def test_model_and_copy_have_the_rows_of_the_whole_table(
     whole = evaluate(model, sequences, lattice=SMALL)
     for method, row in ((Model(model), "full_sequence"), (Copy(), "copy_first_frame")):
         table = evaluate_method(method, sequences, lattice=SMALL)
-        found = {k: v for k, v in table["full_sequence"].items() if k != "interval"}
+        found = {k: v for k, v in table["full_sequence"].items() if k in whole[row]}
         assert found == {k: whole[row][k] for k in found}
+        assert found.keys() >= {"viou", "balanced_accg", "interval"}
         assert table["scenes"] == len(sequences)
         assert table["failed"] == 0
     assert found["frames"] == sum(len(sequences[k]["genus"]) - 1 for k in range(len(sequences)))
@@ -116,10 +119,38 @@ def test_a_simulation_that_fails_leaves_the_reconstruction(
 
 def test_intervals_are_those_of_the_mean() -> None:
     """Of a normal sample: mean +- 1.96 standard errors, within a tenth; of one value, itself."""
-    values = np.random.default_rng(0).normal(50, 10, 200).tolist()
-    low, high = bootstrap(values, lambda v: {"mean": float(np.mean(v))})["mean"]
+    values = np.random.default_rng(0).normal(50, 10, 200)
+    low, high = bootstrap(200, lambda times: {"mean": float(times @ values / 200)})["mean"]
     error = np.std(values) / np.sqrt(len(values))
     assert (low + high) / 2 == pytest.approx(np.mean(values), abs=0.1 * error + 0.05)
     assert (high - low) / 2 == pytest.approx(1.96 * error, rel=0.1)
-    assert bootstrap([7.0], lambda v: {"mean": float(np.mean(v))}) == {"mean": [7.0, 7.0]}
-    assert bootstrap([], lambda v: {"sum": sum(v)}) == {}
+    assert bootstrap(1, lambda times: {"mean": 7.0 * times[0]}) == {"mean": [7.0, 7.0]}
+    assert bootstrap(0, lambda times: {"sum": float(times.sum())}) == {}
+
+
+def frame(right: bool, *genus: int, volume: float = 0.5) -> Scored:
+    """A scored frame whose true components have these genera."""
+    score = TopologyScore(volume_iou=volume, component_iou=0.25, right_count=True,
+                          right_genus=right, genus_share=float(right))  # fmt: skip
+    return Scored(score=score, topology=tuple(sorted(genus)))
+
+
+def test_a_row_is_what_counting_gives() -> None:
+    """Means over frames, balanced accuracy over the topologies that occur, steps and scenes alone;
+    the interval of a figure that no scene differs in has no width.
+    """
+    scenes = [
+        [frame(True, 0), frame(False, 1), frame(True, 0)],
+        [],
+        [frame(False, 0, 0, volume=1.0)],
+    ]
+    row = with_steps(scenes)
+    assert (row["viou"], row["ciou"], row["accc"], row["accg"]) == (62.5, 25.0, 100.0, 50.0)
+    assert row["balanced_accg"] == pytest.approx(100 / 3, abs=0.01)  # ring and pair never right
+    assert row["frames"] == 4
+    assert row["interval"]["accc"] == [100.0, 100.0]
+    assert row["interval"]["viou"] == [50.0, 100.0]  # one scene alone may be drawn
+    assert [step["frames"] for step in row["by_step"]] == [2, 1, 1]
+    assert [step["accg"] for step in row["by_step"]] == [50.0, 0.0, 100.0]
+    assert [own["viou"] for own in row["by_scene"]] == [50.0, 0.0, 100.0]
+    assert table_row([])["interval"] == {}
