@@ -10,8 +10,11 @@ MODEL_DATA := model-dataset
 MODEL_RUN := model-run
 MODEL_PRESET := tiny
 MODEL_MINUTES := 300
+MODEL_DENSE := model-dense
+MODEL_REPORT := model-report
+ABLATIONS := model-ablations
 
-.PHONY: help setup demo test test-slow check format bench bench-model lock wheel clean
+.PHONY: help setup demo test test-slow check format bench bench-model ablations report lock wheel clean
 
 help:
 	@echo "make demo       set up, then make, render, validate and draw a small dataset"
@@ -20,6 +23,8 @@ help:
 	@echo "make check      lint, format, types, import contracts"
 	@echo "make bench      every benchmark, one JSON object a line"
 	@echo "make bench-model  data, training, learning curve and table of the model; hours; resumes"
+	@echo "make ablations  the training of the paper's table 2, three seeds; hours; goes on where it stopped"
+	@echo "make report     one page of all tables and figures, from what bench-model and ablations left"
 	@echo "make lock       write requirements.lock from the newest versions that fit"
 
 setup: $(VENV)/.ready
@@ -57,15 +62,25 @@ format: setup
 bench: setup
 	@for file in $$(grep -l __main__ benchmarks/*.py); do $(BIN)/python $$file --json || exit 1; done
 
-# Killed at any moment, the same command goes on. MODEL_MINUTES is the time of either stage.
+# Killed at any moment, the same command goes on. MODEL_MINUTES is the time of either stage. The
+# test scenes are copied before they have views: in the copy every key frame is rendered.
 bench-model: setup
 	$(BIN)/doughdata generate --scenes rolls,doughnut --num-scenes 200 --seed 7 --dataset $(MODEL_DATA)
 	$(BIN)/doughdata generate --scenes rolls,doughnut --num-scenes 32 --seed 7 --split test --dataset $(MODEL_DATA)
+	[ -e $(MODEL_DENSE)/meta/commits/depth.realsense ] || $(BIN)/doughdata subset --split test --dataset $(MODEL_DATA) --into $(MODEL_DENSE)
+	$(BIN)/doughdata render --noise realsense --all-frames --dataset $(MODEL_DENSE)
 	$(BIN)/doughdata render --noise realsense --dataset $(MODEL_DATA)
 	for stage in autoencoder dynamics; do \
 	  $(BIN)/doughnet train $$stage --preset $(MODEL_PRESET) --minutes $(MODEL_MINUTES) --resume \
 	    --dataset $(MODEL_DATA) --out $(MODEL_RUN) || exit 1; done
 	$(BIN)/python scripts/model_report.py --run $(MODEL_RUN) --dataset $(MODEL_DATA)
+
+ablations: setup
+	$(BIN)/python scripts/ablations.py --dataset $(MODEL_DATA) --out $(ABLATIONS)
+
+report: setup
+	$(BIN)/python scripts/report --weights $(MODEL_RUN) --dataset $(MODEL_DATA) --dense $(MODEL_DENSE) \
+	  --ablations $(ABLATIONS) --out $(MODEL_REPORT)
 
 lock:
 	bash scripts/lock.sh

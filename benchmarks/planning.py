@@ -6,7 +6,8 @@ The start of a plan is the first key frame that the model looks at, its goal the
 depth alone. `translation_mm` and `rotation_deg` are medians of the distance to the squeeze that
 made the goal, `tool_accuracy` the share of plans with its tool (of three, at its scale), and
 `topology_reached` the share whose outcome in the simulator has the goal's components and genera
-(`--no-verify` leaves that out, which saves most of the time). `plan_s` is the median wall time.
+(`--no-verify` leaves that out, which saves most of the time); `failed` plans cannot be simulated.
+`plan_s` is the median wall time.
 """
 
 import argparse
@@ -19,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from doughcli.net_gripper import ToolGripper
+from doughcli.net_gripper import ToolGripper, dough_at_start
 from doughcli.net_sources import Source, read_source
 from doughcli.net_trial import planned_scene, try_plan
 from doughdata.dataset import open_dataset
@@ -60,7 +61,11 @@ def one_plan(
     assert scene is not None
     frames = start.key_frames
     gripper = ToolGripper(
-        tools_of(scene), scene.actions[0], frames=frames, num_frames=start.num_frames
+        tools_of(scene),
+        scene.actions[0],
+        frames=frames,
+        num_frames=start.num_frames,
+        dough=dough_at_start(start, model),
     )
     begun = time.perf_counter()
     planner = Planner(
@@ -74,12 +79,24 @@ def one_plan(
         **off_by(plan.squeeze, scene),
     }
     if verify:
-        with TemporaryDirectory() as folder:
-            shape = model.decode(planner.start)
-            played = planned_scene(start, gripper, plan.squeeze, shape=shape, folder=Path(folder))
-            tried = try_plan(played, goal, frame=frames[-1], num_frames=start.num_frames)
-        found |= {name: tried[name] for name in ("topology_reached", "viou", "ciou")}
+        found |= verified(model, planner, plan.squeeze, start, goal)
     return found
+
+
+def verified(
+    model: DoughNet, planner: Planner, squeeze: Any, start: Source, goal: Source
+) -> dict[str, Any]:
+    """What the simulator makes of a plan; one that it cannot carry out reaches nothing."""
+    gripper: Any = planner.gripper
+    shape = model.decode(planner.start)
+    try:
+        with TemporaryDirectory() as folder:
+            played = planned_scene(start, gripper, squeeze, shape=shape, folder=Path(folder))
+            frame = start.key_frames[-1]
+            tried = try_plan(played, goal, frame=frame, num_frames=start.num_frames)
+    except DoughError as error:
+        return {"topology_reached": False, "viou": 0.0, "ciou": 0.0, "failed": str(error)}
+    return {name: tried[name] for name in ("topology_reached", "viou", "ciou")}
 
 
 def main() -> None:
@@ -123,6 +140,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     if not options.no_verify:
         reached = [bool(row["topology_reached"]) for row in rows]
         result["topology_reached"] = round(float(np.mean(reached)), 3)
+        result["failed"] = sum("failed" in row for row in rows)
         result["viou"] = round(float(np.median([row["viou"] for row in rows])), 2)
     result["plans"] = rows
     return result

@@ -12,13 +12,14 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64, Int
+from jaxtyping import Bool, Float, Float32, Float64, Int
 from torch import Tensor
 
+from doughnet.lattice import workspace_lattice
 from doughnet.model import DoughNet
 from doughnet.search import Round, SearchConfig, Squeeze, search
 
-__all__ = ["Gripper", "Plan", "Planner", "Progress"]
+__all__ = ["Gripper", "Plan", "Planner", "Progress", "reconstructed"]
 
 BATCH = 16  # squeezes rolled out at once: more do not fit into the cache of a CPU
 Points = Float[np.ndarray, "N 3"] | Float[Tensor, "N 3"]
@@ -38,6 +39,10 @@ class Gripper(Protocol):
         self, squeezes: Sequence[Squeeze]
     ) -> Float32[np.ndarray, "squeezes frames fingers points 3"]:
         """Points [m], world, on the fingers in every key frame that the model steps through."""
+        ...
+
+    def free(self, squeezes: Sequence[Squeeze]) -> Bool[np.ndarray, " squeezes"]:
+        """Whether the fingers begin beside the dough, not in it."""
         ...
 
 
@@ -92,7 +97,11 @@ class Planner:
             self._goals = torch.nn.functional.normalize(goals.flatten(1), dim=-1)
 
     def plan(self, config: SearchConfig, progress: Progress | None = None) -> Plan:
-        """Search; see `SearchConfig`."""
+        """Search; see `SearchConfig`.
+
+        Raises:
+            BadInputError: of all squeezes of a round, none can begin.
+        """
         rounds: list[Round] = []
         for found in search(self.scores, self.gripper.tools, config):
             rounds.append(found)
@@ -103,18 +112,32 @@ class Planner:
 
     @torch.inference_mode()
     def scores(self, squeezes: Sequence[Squeeze]) -> Float64[np.ndarray, " squeezes"]:
-        """How well the predicted end of each squeeze agrees with the goal."""
-        ends = [
-            self.latents(squeezes[k : k + BATCH])[:, -1] for k in range(0, len(squeezes), BATCH)
-        ]
-        units = torch.nn.functional.normalize(torch.cat(ends).flatten(1), dim=-1)
-        return (units @ self._goals.T).amax(dim=1).double().cpu().numpy()
+        """How well the predicted end of each squeeze agrees with the goal.
+
+        NaN for one that cannot begin: its fingers are in the dough.
+        """
+        found = np.full(len(squeezes), np.nan)
+        free = np.flatnonzero(self.gripper.free(squeezes))
+        for some in (free[k : k + BATCH] for k in range(0, len(free), BATCH)):
+            ends = self.latents([squeezes[k] for k in some])[:, -1]
+            units = torch.nn.functional.normalize(ends.flatten(1), dim=-1)
+            found[some] = (units @ self._goals.T).amax(dim=1).double().cpu().numpy()
+        return found
 
     @torch.inference_mode()
     def latents(self, squeezes: Sequence[Squeeze]) -> Float[Tensor, "squeezes steps T D"]:
         """Latents of all later key frames of each squeeze."""
         points = torch.from_numpy(self.gripper.points(squeezes)).to(self.start)
         return self.model.rollout(self.start.expand(len(squeezes), -1, -1), points)
+
+
+@torch.inference_mode()
+def reconstructed(model: DoughNet, seen: Seen) -> Float64[np.ndarray, "nodes 3"]:
+    """Nodes [m], world, of the workspace's lattice that a model takes for dough."""
+    lattice = workspace_lattice()
+    points, labels = _tensors(seen)
+    own, genus = model.decode(model.encode(points[None], labels[None])[0], lattice).components()
+    return lattice.points((own.flatten() < len(genus)).nonzero()[:, 0]).double().numpy()
 
 
 def _plain(squeeze: Squeeze) -> dict[str, Any]:

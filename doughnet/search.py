@@ -139,9 +139,12 @@ def search(
     one before: the answer is the first squeeze of the last round.
 
     Args:
-        score: of many squeezes at once; higher is better, NaN counts as worst.
+        score: of many squeezes at once; higher is better, NaN for one that cannot be carried out.
         tools: names to choose from.
         config: sizes and bounds.
+
+    Raises:
+        BadInputError: no tools; or no squeeze of a round has a score.
     """
     if not tools:
         raise BadInputError("a search needs at least one tool")
@@ -156,6 +159,12 @@ def search(
         squeezes = [_squeeze(now.tools[t], row) for t, row in zip(tool, rows, strict=True)]
         scores = np.nan_to_num(np.asarray(score(squeezes), float), nan=-np.inf)
         order = np.argsort(-scores, kind="stable")[: config.elites]
+        order = order[np.isfinite(scores[order])]
+        if len(order) == 0:
+            raise BadInputError(
+                f"none of {len(squeezes)} squeezes can be carried out: the fingers begin in the "
+                "dough; give other tools, or a start whose dough fits between them"
+            )
         yield Round(
             squeezes=tuple(squeezes[k] for k in order),
             scores=tuple(scores[order].tolist()),

@@ -5,15 +5,19 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32, Float64
 
+from doughcli.net_sources import Source
 from doughdata.dataset import FrameTools
 from doughdata.geometry import transform_points
+from doughdata.scenes.limits import inside_finger, surface_points
 from doughdata.scenes.tools import finger_poses, opening_at
 from doughdata.torch.sampling import tool_points
+from doughnet.model import DoughNet
+from doughnet.planner import reconstructed
 from doughschemas import Action, Tool
 
-__all__ = ["ToolGripper"]
+__all__ = ["ToolGripper", "dough_at_start"]
 
 NUM_POINTS = 128  # a finger, as in training
 
@@ -26,6 +30,7 @@ class ToolGripper:
         template: action whose speed, first opening and share of holding a plan keeps.
         frames: key frames that the model steps through.
         num_frames: key frames of a scene.
+        dough: points [m], world, (N, 3), in which no finger may begin.
         seed: of the points on the fingers, which are the same for every squeeze.
     """
 
@@ -36,10 +41,12 @@ class ToolGripper:
         *,
         frames: Sequence[int],
         num_frames: int,
+        dough: Float64[np.ndarray, "N 3"],
         seed: int = 0,
     ) -> None:
         self._tools, self._template = dict(tools), template
         self._frames, self._num_frames = tuple(frames), num_frames
+        self._dough = dough
         rng = np.random.default_rng(seed)
         self._local = {name: _in_finger_frame(tool, rng) for name, tool in self._tools.items()}
 
@@ -101,6 +108,26 @@ class ToolGripper:
             ],
             np.float32,
         )
+
+    def free(self, squeezes: Sequence[Any]) -> Bool[np.ndarray, " squeezes"]:
+        """Whether the fingers begin beside the dough, not in it."""
+        return np.array([not self._begins_inside(squeeze) for squeeze in squeezes], bool)
+
+    def _begins_inside(self, squeeze: Any) -> bool:
+        tool = self._tools[squeeze.tool]
+        if tool.mesh is not None:
+            return False  # as `check_scene` has it: only the fingers of a box are looked at
+        return inside_finger(self.action(squeeze), tool.depth, tool.width, self._dough)
+
+
+def dough_at_start(start: Source, model: DoughNet) -> Float64[np.ndarray, "N 3"]:
+    """Where dough is when a plan begins, as `doughcli.net_trial.planned_scene` puts it there.
+
+    That of a simulated start is known; of a recording the model tells.
+    """
+    if start.scene is not None:
+        return np.concatenate([surface_points(body) for body in start.scene.bodies])
+    return reconstructed(model, (start.points, start.labels))
 
 
 def _in_finger_frame(tool: Tool, rng: np.random.Generator) -> Any:

@@ -58,7 +58,7 @@ def command(
 ) -> None:
     """Plan, save, verify, print."""
     use_threads(threads)
-    from doughcli.net_gripper import ToolGripper
+    from doughcli.net_gripper import ToolGripper, dough_at_start
     from doughcli.net_sources import read_source
     from doughcli.net_trial import planned_scene, try_plan
     from doughdata.scenes.json import scene_to_json
@@ -78,8 +78,9 @@ def command(
         if len(frames) < 2:
             raise BadInputError(f"--start {start}: no key frame is left after {first}")
     gripper = ToolGripper(
-        _tools(tools, begin.scene), _template(begin.scene), frames=frames, num_frames=num_frames
-    )
+        _tools(tools, begin.scene), _template(begin.scene), frames=frames, num_frames=num_frames,
+        dough=dough_at_start(begin, model),
+    )  # fmt: skip
     planner = Planner(
         model, gripper, start=(begin.points, begin.labels), goal=(end.points, end.labels)
     )

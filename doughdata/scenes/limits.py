@@ -9,7 +9,7 @@ from doughdata.scenes.shapes import shape_of
 from doughdata.scenes.shapes.base import require_range
 from doughschemas import Action, Body, Scene, SceneError
 
-__all__ = ["WORKSPACE", "check_scene", "surface_points"]
+__all__ = ["WORKSPACE", "check_scene", "inside_finger", "surface_points"]
 
 WORKSPACE = 0.100  # [m], half the side of the square that bodies and gaps stay in
 MOST_YAW = 100.0  # [rad]; any turn, but no NaN and nothing that sine and cosine lose

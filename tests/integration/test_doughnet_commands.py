@@ -221,6 +221,32 @@ def test_a_run_reports_itself(trained: Path, scenes: str) -> None:
     assert (trained / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
+def test_the_report_puts_everything_on_one_page(trained: Path, scenes: str, tmp_path: Path) -> None:
+    """`scripts/report` measures all methods, draws, and shows the figures that it measured; a
+    second time it measures nothing again but what had failed.
+    """
+    script = Path(__file__).parents[2] / "scripts" / "report"
+    where = ["--weights", str(trained), "--dataset", scenes, "--split", "train"]
+    command = [sys.executable, script, *where, "--sensor", "none", "--goals", "1", "--out", "page"]
+    subprocess.run(command, check=True, cwd=tmp_path, capture_output=True)
+    page = (tmp_path / "page/index.html").read_text(encoding="utf-8")
+    kept = {
+        path.stem: json.loads(path.read_text()) for path in tmp_path.glob("page/measured/*.json")
+    }
+    assert "error" in kept["gnn"]  # it was not trained
+    for name in ("doughnet", "vpm", "mpm", "copy"):
+        full = kept[name]["result"]["full_sequence"]
+        low, high = full["interval"]["viou"]
+        assert f"{full['viou']:.1f} [{low:.1f}, {high:.1f}]" in page
+    assert page.count("data:image/png") >= 6
+    assert "doughnet train gnn" in page
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("page/measured/*.json")}
+    subprocess.run(command, check=True, cwd=tmp_path, capture_output=True)
+    again = {path.stem for path, then in before.items() if path.stat().st_mtime_ns != then}
+    assert again == {"gnn"}
+
+
 def test_weights_in_the_package_are_the_default(
     trained: Path, scenes: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,6 +10,7 @@ from doughnet.config import micro
 from doughnet.model import DoughNet
 from doughnet.planner import Planner
 from doughnet.search import SearchConfig, Squeeze
+from doughschemas import BadInputError
 
 WIDTHS = {"thin": 0.002, "broad": 0.02}
 
@@ -34,6 +35,10 @@ class Bars:
                 frames.append(turned + np.array([*s.position, 0.0]))
             rows.append(frames)
         return np.array(rows, np.float32)
+
+    def free(self, squeezes: Sequence[Squeeze]) -> np.ndarray:
+        """See `Gripper`: dough fills the half x < 0, where no squeeze may begin."""
+        return np.array([s.position[0] >= 0 for s in squeezes])
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +76,26 @@ def test_scores_are_cosines_of_the_last_latents(model: DoughNet) -> None:
             end = model.rollout(start, tools)[0, -1]
             cosines = [torch.cosine_similarity(end.flatten(), g.flatten(), dim=0) for g in goals]
             assert score == pytest.approx(float(max(cosines)), abs=1e-5)
+
+
+def test_what_begins_in_the_dough_has_no_score(model: DoughNet) -> None:
+    """It is NaN and never part of a plan; a gripper that nothing is free for is told in a line."""
+    planner = Planner(model, Bars(), start=dough(0), goal=dough(1))
+    squeezes = [
+        Squeeze(tool="thin", position=(x, 0.0), yaw=0.0, opening=0.005)
+        for x in np.linspace(-0.02, 0.02, 40)
+    ]
+    scores = planner.scores(squeezes)
+    free = [squeezes[k] for k in range(40) if squeezes[k].position[0] >= 0]
+    assert np.isnan(scores[:20]).all()
+    np.testing.assert_allclose(scores[20:], planner.scores(free), atol=1e-6)
+    plan = planner.plan(SearchConfig(samples=12, elites=8, iterations=2, seed=1))
+    assert all(s.position[0] >= 0 for found in plan.rounds for s in found.squeezes)
+    assert all(len(found.squeezes) == len(found.scores) for found in plan.rounds)
+    nothing = Bars()
+    nothing.free = lambda squeezes: np.zeros(len(squeezes), bool)
+    with pytest.raises(BadInputError, match="begin in the dough"):
+        Planner(model, nothing, start=dough(0), goal=dough(1)).plan(SearchConfig(samples=8))
 
 
 def test_names_of_components_do_not_matter(model: DoughNet) -> None:
