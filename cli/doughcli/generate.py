@@ -1,5 +1,6 @@
 """`doughdata generate`: scenes -> simulation -> topology -> meshes, into a dataset."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -82,7 +83,7 @@ def command(
     total = sum(getattr(entry, "count", 1) for entry in wanted)
     work = build_executor(executor, workers, items=total)
     if dry_run:
-        preview(dataset, wanted, names, as_json=as_json)
+        preview(dataset, wanted, names, chosen.by_layer(), as_json=as_json)
         return
 
     from doughcli.progress import StageBars
@@ -117,20 +118,46 @@ def command(
     report(summary, as_json=as_json)
 
 
-def preview(dataset: str, wanted: list, stages: tuple[str, ...], *, as_json: bool) -> None:
-    """Say what a run would make; nothing is written."""
-    there = 0
-    if dataset_exists(dataset):
-        from doughdata import open_dataset
-
-        known = set(open_dataset(dataset).scenes["scene_id"].to_pylist())
-        there = sum(1 for scene_id in scene_ids(wanted) if scene_id in known)
-    total = sum(getattr(entry, "count", 1) for entry in wanted)
-    found = {"dataset": dataset, "scenes": total, "there": there, "stages": list(stages)}
+def preview(
+    dataset: str, wanted: list, stages: tuple[str, ...], layers: Iterable[str], *, as_json: bool
+) -> None:
+    """Say what a run would make, layer by layer; nothing is written."""
+    ids = scene_ids(wanted)
+    made = scenes_made(dataset) if dataset_exists(dataset) else {}
+    left = {layer: sum(name not in made.get(layer, ()) for name in ids) for layer in layers}
+    there = sum(all(name in made.get(layer, ()) for layer in left) for name in ids)
+    found = {
+        "dataset": dataset,
+        "scenes": len(ids),
+        "there": there,
+        "left": left,
+        "stages": list(stages),
+    }
     if as_json:
         emit_json(found)
-    else:
-        print(f"would make {total - there} of {total} scenes ({there} are there) in {dataset}")
+        return
+    each = ", ".join(f"{layer} {count}" for layer, count in left.items())
+    print(
+        f"would make {len(ids) - there} of {len(ids)} scenes ({there} are there) in {dataset}: "
+        f"{each}"
+    )
+
+
+def scenes_made(dataset: str) -> dict[str, set[str]]:
+    """Layer -> ids of the scenes that it holds, or that failed."""
+    from doughdata import open_dataset
+    from doughdata.dataset.commits import CommitLog
+    from doughdata.dataset.store import store_of
+
+    log, table = CommitLog(store_of(dataset)), open_dataset(dataset).scenes
+    names = dict(zip(table["scene_index"].to_pylist(), table["scene_id"].to_pylist(), strict=True))
+    made: dict[str, set[str]] = {}
+    for shard in log.shards:
+        for layer, commit in log.fresh(shard).items():
+            made.setdefault(layer, set()).update(
+                names[k] for k in {*commit.scenes, *commit.failed} if k in names
+            )
+    return made
 
 
 def dataset_exists(uri: str) -> bool:

@@ -1,13 +1,18 @@
 """What a user types and what comes back."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from doughcli.generate import scenes_made
+from doughdata import open_dataset
 from doughdata.sim._taichi import gpu_present
+from tests.closed_form import cut_ring, joined_bars
+from tests.dataset_helpers import new_writer, write_examples
 from tests.integration.conftest import command
 
 HEAVY = ("torch", "taichi", "open3d", "zarr", "scipy", "pyarrow", "matplotlib")
@@ -112,9 +117,21 @@ def test_dry_run_makes_nothing(tmp_path: Path) -> None:
         "dataset": "./dough-dataset",
         "scenes": 3,
         "there": 0,
+        "left": {"sim": 3, "topology": 3, "mesh": 3},
         "stages": ["simulate", "topology", "mesh"],
     }
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dry_run_knows_what_a_stopped_run_left(tmp_path: Path) -> None:
+    """A scene that only some layers hold is not done; what was made from a lost layer is lost."""
+    uri = write_examples(new_writer(tmp_path / "d"), [cut_ring(), joined_bars()]).uri
+    ids = set(open_dataset(uri).scenes["scene_id"].to_pylist())
+    made = scenes_made(uri)
+    assert made.keys() >= {"sim", "topology", "mesh"}
+    assert all(made[layer] == ids for layer in made)
+    shutil.rmtree(tmp_path / "d/meta/commits/topology")
+    assert scenes_made(uri) == {"sim": ids}
 
 
 def test_a_shown_scene_runs_as_it_is(tmp_path: Path) -> None:
