@@ -1,11 +1,11 @@
 """How sure a figure is: bootstrap over scenes, whose frames are not independent."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Float64, Int64
 
-__all__ = ["bootstrap"]
+__all__ = ["bootstrap", "covering"]
 
 DRAWS = 1000
 COVERED = 0.95
@@ -32,8 +32,12 @@ def bootstrap(
     rng = np.random.default_rng(seed)
     drawn = rng.multinomial(count, np.full(count, 1 / count), DRAWS)
     rows = [figures(times) for times in drawn]
-    edges = [(1 - COVERED) / 2, (1 + COVERED) / 2]
     return {
-        name: [round(float(v), 2) for v in np.quantile([row[name] for row in rows], edges)]
-        for name in rows[0]
+        name: [round(edge, 2) for edge in covering([row[name] for row in rows])] for name in rows[0]
     }
+
+
+def covering(drawn: Sequence[float] | Float64[np.ndarray, " draws"]) -> tuple[float, float]:
+    """The 95 % percentile interval of what was drawn."""
+    low, high = np.quantile(drawn, [(1 - COVERED) / 2, (1 + COVERED) / 2])
+    return float(low), float(high)

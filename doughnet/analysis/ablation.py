@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from doughnet.intervals import covering
 from doughschemas import BadInputError
 
 __all__ = ["Compared", "compare", "per_scene"]
 
 DRAWS = 5000
-COVERED = 0.95
 Interval = tuple[float, float]
 
 
@@ -83,12 +83,7 @@ def compare(
     weights = frames / frames.sum()
     return Compared(
         value=float((own @ weights).mean()),
-        interval=_interval(means(own)),
+        interval=covering(means(own)),
         difference=float(((own - other) @ weights).mean()),
-        difference_interval=_interval(means(own - other)),
+        difference_interval=covering(means(own - other)),
     )
-
-
-def _interval(drawn: Float64[np.ndarray, " draws"]) -> Interval:
-    low, high = np.quantile(drawn, [(1 - COVERED) / 2, (1 + COVERED) / 2])
-    return float(low), float(high)

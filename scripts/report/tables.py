@@ -139,12 +139,7 @@ def planning_table(found: Found, paper: Found) -> Table:
         "viou": "VIoU of the simulated outcome, median [%]",
         "plan_s": "seconds a plan, median",
     }
-    rows = [
-        ("here", [label, str(result[name]), str(paper.get(name, ""))])
-        for name, label in names.items()
-        if name in result
-    ]
-    return Table(head=head, rows=rows, commands=[found["command"]])
+    return Table(head=head, rows=_listed(names, result, paper), commands=[found["command"]])
 
 
 def changes_table(found: Found, paper: Found) -> Table:
@@ -161,11 +156,16 @@ def changes_table(found: Found, paper: Found) -> Table:
         "area": "area under the ROC curve",
         "key_frames": "key frames a scene",
     }
-    rows = [
-        ("here", [label, str(changes[name]), str(paper.get(name, ""))])
+    return Table(head=head, rows=_listed(names, changes, paper), commands=[found["command"]])
+
+
+def _listed(names: Mapping[str, str], here: Found, paper: Found) -> list[tuple[str, list[str]]]:
+    """A row for every figure that was measured, by its label."""
+    return [
+        ("here", [label, str(here[name]), str(paper.get(name, ""))])
         for name, label in names.items()
+        if name in here
     ]
-    return Table(head=head, rows=rows, commands=[found["command"]])
 
 
 def sizes_table(sizes: Mapping[str, Any], paper: Mapping[str, Any]) -> Table:
