@@ -247,6 +247,37 @@ def test_the_report_puts_everything_on_one_page(trained: Path, scenes: str, tmp_
     assert again == {"gnn"}
 
 
+@pytest.mark.slow
+def test_ablations_share_an_autoencoder_and_are_not_done_twice(scenes: str, tmp_path: Path) -> None:
+    """A recipe of the dynamics has its seed's autoencoder, byte for byte, and other dynamics; the
+    same command again trains and scores nothing.
+    """
+    script = Path(__file__).parents[2] / "scripts" / "ablations.py"
+    options = [
+        "--recipes",
+        "full,relative",
+        "--seeds",
+        "1",
+        "--minutes",
+        "0.03",
+        "--split",
+        "train",
+    ]
+    where = ["--sensor", "none", "--dataset", scenes, "--out", "ablations", "--workers", "0"]
+    command = [sys.executable, script, *options, *where, "--threads", "1"]
+    for _ in range(2):
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    assert done.stderr == ""  # nothing was left
+    full, relative = (tmp_path / "ablations" / name for name in ("full-0", "relative-0"))
+    weights = "autoencoder/weights.safetensors"
+    assert (full / weights).read_bytes() == (relative / weights).read_bytes()
+    tables = [json.loads((f / "evaluation.json").read_text()) for f in (full, relative)]
+    assert tables[0]["reconstruction"]["viou"] == tables[1]["reconstruction"]["viou"]
+    recorded = [json.loads((f / "dynamics/config.json").read_text()) for f in (full, relative)]
+    assert [c["model"]["relative"] for c in recorded] == [False, True]
+
+
 def test_weights_in_the_package_are_the_default(
     trained: Path, scenes: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
