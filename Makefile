@@ -10,7 +10,6 @@ MODEL_DATA := model-dataset
 MODEL_RUN := model-run
 MODEL_PRESET := tiny
 MODEL_MINUTES := 300
-MODEL_DENSE := model-dense
 MODEL_REPORT := model-report
 ABLATIONS := model-ablations
 
@@ -62,14 +61,11 @@ format: setup
 bench: setup
 	@for file in $$(grep -l __main__ benchmarks/*.py); do $(BIN)/python $$file --json || exit 1; done
 
-# Killed at any moment, the same command goes on. MODEL_MINUTES is the time of either stage. The
-# test scenes are copied before they have views: in the copy every key frame is rendered.
+# Killed at any moment, the same command goes on. MODEL_MINUTES is the time of either stage.
 bench-model: setup
 	$(BIN)/doughdata generate --scenes rolls,doughnut --num-scenes 200 --seed 7 --dataset $(MODEL_DATA)
 	$(BIN)/doughdata generate --scenes rolls,doughnut --num-scenes 32 --seed 7 --split test --dataset $(MODEL_DATA)
-	[ -e $(MODEL_DENSE)/meta/commits/depth.realsense ] || $(BIN)/doughdata subset --split test --dataset $(MODEL_DATA) --into $(MODEL_DENSE)
-	$(BIN)/doughdata render --noise realsense --all-frames --dataset $(MODEL_DENSE)
-	$(BIN)/doughdata render --noise realsense --dataset $(MODEL_DATA)
+	$(BIN)/doughdata render --noise realsense --all-frames --dataset $(MODEL_DATA)
 	for stage in autoencoder dynamics; do \
 	  $(BIN)/doughnet train $$stage --preset $(MODEL_PRESET) --minutes $(MODEL_MINUTES) --resume \
 	    --dataset $(MODEL_DATA) --out $(MODEL_RUN) || exit 1; done
@@ -79,7 +75,7 @@ ablations: setup
 	$(BIN)/python scripts/ablations.py --dataset $(MODEL_DATA) --out $(ABLATIONS)
 
 report: setup
-	$(BIN)/python scripts/report --weights $(MODEL_RUN) --dataset $(MODEL_DATA) --dense $(MODEL_DENSE) \
+	$(BIN)/python scripts/report --weights $(MODEL_RUN) --dataset $(MODEL_DATA) \
 	  --ablations $(ABLATIONS) --out $(MODEL_REPORT)
 
 lock:

@@ -1,12 +1,13 @@
 """From a dataset to endless batches: key frames, order, and weights of rare classes."""
 
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 from torch.utils.data import DataLoader
 
@@ -16,7 +17,16 @@ from doughdata.torch.views import COMPLETE
 from doughnet.config import ModelConfig
 from doughnet.stages import Batch
 
-__all__ = ["KEY_FRAMES", "EndlessBatches", "LoaderConfig", "Samples", "class_weights", "key_frames"]
+__all__ = [
+    "KEY_FRAMES",
+    "EndlessBatches",
+    "LoaderConfig",
+    "PlacedSamples",
+    "Samples",
+    "balancing",
+    "class_weights",
+    "key_frames",
+]
 
 KEY_FRAMES = tuple(range(5, 70, 5))  # the 13 of the paper, of 75
 
@@ -36,12 +46,22 @@ class Samples(Protocol):
         ...
 
 
+class PlacedSamples(Samples, Protocol):
+    """Samples that also say which key frame each of them shows."""
+
+    @property
+    def places(self) -> Int64[np.ndarray, "samples 2"]:
+        """(scene_index, frame_index) of each, of the last one in a window."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoaderConfig:
     """How samples become batches."""
 
     batch_size: int = 8  # samples a step and process
     workers: int = 1  # processes that read; 0 = the training's own
+    balance: bool = True  # draw rare topologies more often than they occur
     seed: int = 0
 
 
@@ -65,10 +85,11 @@ class EndlessBatches:
         dataset: Samples,
         config: LoaderConfig,
         *,
+        weights: Float64[np.ndarray, " samples"] | None = None,
         rank: int = 0,
         world_size: int = 1,
     ) -> None:
-        self.dataset, self.config = dataset, config
+        self.dataset, self.config, self.weights = dataset, config, weights
         self.rank, self.world_size = rank, world_size
 
     def __call__(self, step: int) -> Iterator[Batch]:
@@ -76,6 +97,7 @@ class EndlessBatches:
         config = self.config
         sampler = EndlessSampler(
             self.dataset,
+            weights=self.weights,
             seed=config.seed,
             start=step * config.batch_size,
             rank=self.rank,
@@ -93,29 +115,43 @@ class EndlessBatches:
         return iter(loader)
 
 
+def balancing(data: PlacedSamples) -> Float64[np.ndarray, " samples"]:
+    """How often to draw each sample: a topology as the root of its frequency, not as that itself.
+
+    A window counts for its last key frame, and a topology is the set of its components' genera.
+    """
+    classes = [None if genus is None else tuple(sorted(genus)) for genus in _genera(data)]
+    number = Counter(classes)
+    return np.array([number[found] ** -0.5 for found in classes])
+
+
 def class_weights(
-    source: Dataset, config: ModelConfig, *, split: str, frames: Collection[int]
+    data: PlacedSamples, config: ModelConfig, drawn: Float64[np.ndarray, " samples"] | None = None
 ) -> Float[Tensor, " classes"]:
     """Weight of each genus class, 1 / sqrt(frequency): a rare genus is worth learning, too.
 
     They are scaled so that the expected weight of a component is 1.
+
+    Args:
+        data: what is trained on.
+        config: knows the classes.
+        drawn: how often each sample is drawn, in any unit; None = all alike.
     """
-    table, wanted = source.frames, set(frames)
-    splits = dict(
-        zip(
-            source.scenes["scene_index"].to_pylist(),
-            source.scenes["split"].to_pylist(),
-            strict=True,
-        )
-    )
-    counts: Counter[int] = Counter()
-    columns = (table[name].to_pylist() for name in ("scene_index", "frame_index", "genus"))
-    for scene, frame, genus in zip(*columns, strict=True):
-        if frame in wanted and splits[scene] == split and genus is not None:
-            known = [min(g, config.max_genus) for g in genus[: config.components]]
-            counts.update(known)
-            counts[config.empty_class] += config.components - len(known)
-    number = torch.tensor([counts[k] for k in range(config.genus_classes)], dtype=torch.float32)
-    share = number / number.sum().clamp(min=1)
-    weights = torch.where(number > 0, share.clamp(min=1e-9).rsqrt(), 0.0)
+    number = np.zeros(config.genus_classes)
+    genera = _genera(data)
+    for genus, weight in zip(genera, np.ones(len(genera)) if drawn is None else drawn, strict=True):
+        if genus is not None:
+            for g in genus[: config.components]:
+                number[min(g, config.max_genus)] += weight
+            number[config.empty_class] += weight * max(0, config.components - len(genus))
+    share = torch.from_numpy(number / max(number.sum(), 1e-9)).float()
+    weights = torch.where(share > 0, share.clamp(min=1e-9).rsqrt(), 0.0)
     return weights / (weights * share).sum().clamp(min=1e-9)
+
+
+def _genera(data: PlacedSamples) -> list[list[int] | None]:
+    """Genera of the components at the place of each sample; None where nobody knows."""
+    table = data.source.frames
+    columns = (table[name].to_pylist() for name in ("scene_index", "frame_index", "genus"))
+    known = {(scene, frame): genus for scene, frame, genus in zip(*columns, strict=True)}
+    return [known.get((scene, frame)) for scene, frame in data.places.tolist()]

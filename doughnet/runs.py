@@ -9,7 +9,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from jaxtyping import Float64
 
 from doughdata.dataset import open_dataset
 from doughdata.torch import DoughDataset, DoughSequences
@@ -18,7 +20,15 @@ from doughnet.baselines.particle_data import ParticleWindows
 from doughnet.baselines.particle_net import ParticleConfig, ParticleNet
 from doughnet.baselines.particle_stage import ParticleStage
 from doughnet.config import preset
-from doughnet.data import EndlessBatches, LoaderConfig, Samples, class_weights, key_frames
+from doughnet.data import (
+    EndlessBatches,
+    LoaderConfig,
+    PlacedSamples,
+    Samples,
+    balancing,
+    class_weights,
+    key_frames,
+)
 from doughnet.model import DoughNet
 from doughnet.recipes import recipe
 from doughnet.stages import AutoencoderStage, DynamicsStage, Stage
@@ -71,8 +81,8 @@ def train_stage(
         raise BadInputError(f"{out} holds a training: --resume goes on, or give another --out")
     torch.manual_seed(config.train.seed)
     if name == "gnn":
-        stage, data, frames = _particles(config)
-        return _fit(stage, data, frames, {}, config, fabric, listener)
+        particles, windows, stepped = _particles(config)
+        return _fit(particles, windows, stepped, None, {}, config, fabric, listener)
     model, before = _model(name, config)
     how = recipe(config.recipe)
     sensor = COMPLETE if how.complete else config.sensor
@@ -81,29 +91,36 @@ def train_stage(
         "split": config.split,
         "seed": config.loader.seed,
     }
-    views = DoughDataset(config.dataset, **common)
-    frames = key_frames(views.source, sensor)
-    weights = class_weights(views.source, model.config, split=config.split, frames=frames)
+    data: PlacedSamples = DoughDataset(config.dataset, **common)  # every view that was rendered
+    if name == "dynamics":
+        frames = key_frames(data.source, sensor)
+        data = _sequences(config.dataset, frames, common, length=1 + how.steps)
+    drawn = balancing(data) if config.loader.balance else None
+    weights = class_weights(data, model.config, drawn)
     if name == "autoencoder":
-        data: Samples = DoughDataset(config.dataset, **common)  # every view that was rendered
         stage: Stage = AutoencoderStage(model, class_weights=weights)
     else:
-        data = _sequences(config.dataset, frames, common, length=1 + how.steps)
         stage = DynamicsStage(model, class_weights=weights, explicit=how.explicit)
-    return _fit(stage, data, frames, before, config, fabric, listener)
+    frames = tuple(sorted(set(data.places[:, 1].tolist())))
+    return _fit(stage, data, frames, drawn, before, config, fabric, listener)
 
 
 def _fit(
     stage: Stage,
     data: Samples,
     frames: tuple[int, ...],
+    drawn: Float64[np.ndarray, " samples"] | None,
     before: Mapping[str, Any],
     config: RunConfig,
     fabric: Any,
     listener: Listener | None,
 ) -> Fitted:
     batches = EndlessBatches(
-        data, config.loader, rank=fabric.global_rank, world_size=fabric.world_size
+        data,
+        config.loader,
+        weights=drawn,
+        rank=fabric.global_rank,
+        world_size=fabric.world_size,
     )
     return fit(
         stage,
@@ -216,6 +233,7 @@ def _provenance(
         },
         "budget": {"minutes": config.minutes, "epochs": config.epochs},
         "batch_size": config.loader.batch_size,
+        "balance": config.loader.balance and name in MODEL_STAGES,
         "train": asdict(config.train),
         **before,
     }

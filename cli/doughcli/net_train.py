@@ -48,6 +48,9 @@ def command(
     sensor: SensorOption = "realsense",
     batch_size: Annotated[int, typer.Option(min=1, metavar="B", help="Samples a step.")] = 8,
     workers: Annotated[int, typer.Option(min=0, metavar="N", help="Processes that read.")] = 1,
+    balance: Annotated[
+        bool, typer.Option(help="Draw rare topologies more often than they occur.")
+    ] = True,
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of all random choices.")] = 0,
     learning_rate: Annotated[float, typer.Option(min=0.0, metavar="R", help="Highest.")] = 2e-3,
     accelerator: Annotated[str, typer.Option(metavar="A", help="auto, cpu or cuda.")] = "auto",
@@ -73,7 +76,7 @@ def command(
         minutes=DEFAULT_MINUTES if minutes is None and epochs is None else minutes,
         epochs=epochs,
         resume=resume,
-        loader=LoaderConfig(batch_size=batch_size, workers=workers, seed=seed),
+        loader=LoaderConfig(batch_size=batch_size, workers=workers, seed=seed, balance=balance),
         train=TrainConfig(optimiser=OptimiserConfig(learning_rate=learning_rate), seed=seed),
     )
     with ShareBar(stage, quiet=as_json or not fabric.is_global_zero) as bar:

@@ -3,7 +3,9 @@
 from collections.abc import Collection
 from pathlib import Path
 
+import numpy as np
 import torch
+from jaxtyping import Int64
 from torch import Tensor
 from torch.utils.data import Dataset
 
@@ -91,6 +93,11 @@ class DoughDataset(Dataset[dict[str, Tensor]]):
     def rendered_frames(self) -> tuple[int, ...]:
         """Key frames that are served, of any scene, rising."""
         return tuple(sorted(set(self._views[:, 1].tolist())))
+
+    @property
+    def places(self) -> Int64[np.ndarray, "samples 2"]:
+        """(scene_index, frame_index) of every sample."""
+        return self._views[:, :2]
 
     def set_epoch(self, epoch: int) -> None:
         """Draw other points and queries from now on; the same epoch gives the same again."""

@@ -81,6 +81,11 @@ class DoughSequences(Dataset[dict[str, Tensor]]):
         """Number of windows."""
         return len(self._windows)
 
+    @property
+    def places(self) -> Int64[np.ndarray, "samples 2"]:
+        """(scene_index, frame_index) of the last key frame of every window."""
+        return np.array([(scene, frames[-1]) for scene, _, frames in self._windows], np.int64)
+
     def set_epoch(self, epoch: int) -> None:
         """Draw other points and queries from now on; the same epoch gives the same again."""
         self._epoch.fill_(epoch)

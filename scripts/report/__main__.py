@@ -3,8 +3,8 @@
     python scripts/report --weights model-run --dataset model-dataset --out model-report
 
 Everything is measured by the project's own commands; what was measured before, with the same
-weights and data, is not measured again. `--dense` is a dataset of the same scenes in which every
-key frame was rendered (for changes of topology), `--ablations` what `scripts/ablations.py` left.
+weights and data, is not measured again. Changes of topology are looked for in all key frames that
+were rendered. `--ablations` is what `scripts/ablations.py` left.
 """
 
 import argparse
@@ -64,18 +64,11 @@ def fingerprint(folder: Path) -> str:
 def measure(options: argparse.Namespace, weights: Path) -> dict[str, Any]:
     """Run what was not run before; name -> measurement."""
     inputs = [fingerprint(weights), open_dataset(options.dataset).fingerprint]
-    if options.dense is not None:
-        inputs.append(open_dataset(options.dense).fingerprint)
     kept = Measurements(options.out / "measured", inputs=inputs)
-    rest = ["--weights", options.weights or str(weights), "--split", options.split,
-            "--sensor", options.sensor, "--json"]  # fmt: skip
-    where = ["--dataset", options.dataset, *rest]
-    pictures = str(options.out / "analysis")
+    where = ["--dataset", options.dataset, "--weights", options.weights or str(weights),
+             "--split", options.split, "--sensor", options.sensor, "--json"]  # fmt: skip
     commands = {name: [DOUGHNET, "evaluate", *where, "--method", name] for name in METHODS}
-    commands["analysis"] = [DOUGHNET, "analyze", *where, "--save", pictures]
-    if options.dense is not None:
-        dense = ["--dataset", options.dense, *rest, "--save", f"{pictures}-dense"]
-        commands["changes"] = [DOUGHNET, "analyze", *dense]
+    commands["analysis"] = [DOUGHNET, "analyze", *where, "--save", str(options.out / "analysis")]
     plan = [sys.executable, str(ROOT / "benchmarks" / "planning.py")]
     commands["planning"] = [*plan, *where, "--goals", str(options.goals)]
     found = {}
@@ -125,8 +118,7 @@ def sections(options: argparse.Namespace, weights: Path) -> list[Section]:
     found = measure(options, weights)
     methods = {name: found[name] for name in METHODS}
     recipes = ablations(options.ablations)
-    analysis, dense = options.out / "analysis", options.out / "analysis-dense"
-    changes = dense if "changes" in found else analysis
+    analysis = options.out / "analysis"
     its = sizes(options, weights, found)
     if recipes:
         its["seeds of an ablation"] = len(recipes["full"])
@@ -146,12 +138,12 @@ def sections(options: argparse.Namespace, weights: Path) -> list[Section]:
     for row in ("full_sequence", "single_step") if recipes else ():
         table = ablation_table(recipes, paper["recipes"], row=row)
         parts.append(Section(title=f"Ablations, {TITLES[row]}", lines=[ABLATED], table=table))
-    pictures = [embedded(changes / name) for name in ("roc.png", "precision_recall.png")]
+    pictures = [embedded(analysis / name) for name in ("roc.png", "precision_recall.png")]
     parts += [
         Section(title="Planning", table=planning_table(found["planning"], paper["planning"])),
         Section(
             title="Changes of topology, from jumps of the latents",
-            table=changes_table(found.get("changes", found["analysis"]), paper["changes"]),
+            table=changes_table(found["analysis"], paper["changes"]),
             pictures=pictures,
         ),
         Section(title="Latents", pictures=[embedded(analysis / "tsne.png")]),
@@ -183,7 +175,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="One page about a trained model.")
     parser.add_argument("--weights", help="folder of a training (default: the shipped)")
     parser.add_argument("--dataset", default="model-dataset")
-    parser.add_argument("--dense", help="dataset of the same scenes, every key frame rendered")
     parser.add_argument("--ablations", type=Path, help="folder of trained ablations")
     parser.add_argument("--split", default="test")
     parser.add_argument("--sensor", default="realsense")

@@ -1,15 +1,22 @@
 """Sequences and their order: windows, workers, ranks, and going on from any position."""
 
+from collections import Counter
 from itertools import islice
 
+import numpy as np
 import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from doughdata.dataset import open_dataset
 from doughdata.torch import DoughDataset, DoughSequences, EndlessSampler
 from doughnet.config import ModelConfig
-from doughnet.data import EndlessBatches, LoaderConfig, class_weights, key_frames
+from doughnet.data import (
+    EndlessBatches,
+    LoaderConfig,
+    balancing,
+    class_weights,
+    key_frames,
+)
 from doughschemas import BadInputError
 from tests.closed_form import NUM_FRAMES, cut_ring, joined_bars
 from tests.dataset_helpers import new_writer, write_examples
@@ -85,6 +92,34 @@ def test_an_order_is_a_permutation_an_epoch_and_goes_on_anywhere() -> None:
         EndlessSampler(data, rank=3, world_size=3)
 
 
+def test_a_weighted_order_draws_by_weight_and_goes_on_anywhere() -> None:
+    """Samples come as often as their weights say; no draw has the number of another; from any
+    position, and for any number of ranks, the draws are the same.
+    """
+    data, weights = list(range(4)), [0.0, 1.0, 2.0, 5.0]
+    start = list(islice(EndlessSampler(data, weights=weights, seed=3), 4000))
+    number = Counter(index for _, index in start)
+    assert number[0] == 0
+    for index, weight in enumerate(weights):
+        chance = weight / 8
+        assert abs(number[index] - 4000 * chance) <= 5 * (4000 * chance * (1 - chance)) ** 0.5
+    assert [draw for draw, _ in start] == list(range(4000))
+    later = EndlessSampler(data, weights=weights, seed=3, start=17)
+    assert list(islice(later, 23)) == start[17:40]
+    ranks = [
+        islice(EndlessSampler(data, weights=weights, seed=3, rank=r, world_size=2), 50)
+        for r in range(2)
+    ]
+    assert sorted(pair for rank in ranks for pair in rank) == start[:100]
+
+
+@pytest.mark.parametrize("weights", [[1.0], [1.0, -1.0], [0.0, 0.0], [1.0, float("nan")]])
+def test_impossible_weights_are_told(weights: list[float]) -> None:
+    """One weight a sample, none below zero, and something to draw."""
+    with pytest.raises(ValueError, match="2 finite numbers from 0 on"):
+        EndlessSampler([0, 1], weights=weights)
+
+
 @pytest.mark.parametrize("workers", [0, 2])
 def test_batches_go_on_from_any_step(uri: str, workers: int) -> None:
     """Batches from step 2 on are those that a run from step 0 sees, for any number of workers."""
@@ -109,20 +144,38 @@ def test_an_epoch_comes_with_the_index(uri: str) -> None:
 
 
 def test_rare_genera_weigh_more(uri: str) -> None:
-    """Weights are 1 / sqrt(frequency) of components and free places, one on average."""
-    source = open_dataset(uri)
-    assert key_frames(source, "none") == (0, 1, 2)
+    """Weights are 1 / sqrt(frequency) of components and free places, one on average; a sample that
+    is drawn twice as often counts twice.
+    """
+    data = DoughDataset(uri, **OPTIONS)
+    assert key_frames(data.source, "none") == (0, 1, 2)
     config = ModelConfig(components=2, max_genus=2)
-    weights = class_weights(source, config, split="train", frames=(0, 1, 2))
-    genera = [
-        g
-        for e in (cut_ring(), joined_bars())
-        for f in e.topology.frames
-        for g in (*f.genus, 3, 3)[:2]
-    ]
-    number = torch.tensor([genera.count(k) for k in range(4)], dtype=torch.float32)
-    there = number > 0
-    torch.testing.assert_close(weights[~there], torch.zeros(int((~there).sum())))
-    ratio = weights[there] * (number[there] / number.sum()).sqrt()
-    torch.testing.assert_close(ratio, ratio[:1].expand_as(ratio))
-    assert (weights * number).sum().item() / number.sum().item() == pytest.approx(1.0)
+    genera = [(*f.genus, 3, 3)[:2] for e in (cut_ring(), joined_bars()) for f in e.topology.frames]
+    for drawn in (None, np.arange(1.0, 7.0)):
+        weights = class_weights(data, config, drawn)
+        number = torch.zeros(4)
+        for found, times in zip(genera, drawn if drawn is not None else np.ones(6), strict=True):
+            for g in found:
+                number[g] += times
+        there = number > 0
+        torch.testing.assert_close(weights[~there], torch.zeros(int((~there).sum())))
+        ratio = weights[there] * (number[there] / number.sum()).sqrt()
+        torch.testing.assert_close(ratio, ratio[:1].expand_as(ratio))
+        assert (weights * number).sum().item() / number.sum().item() == pytest.approx(1.0)
+
+
+def test_a_topology_is_drawn_by_the_root_of_its_frequency(uri: str) -> None:
+    """All samples of a topology together weigh the root of their number; windows count for their
+    last key frame.
+    """
+    data, windows = DoughDataset(uri, **OPTIONS), DoughSequences(uri, length=2, **OPTIONS)
+    for samples in (data, windows):
+        weights, total = balancing(samples), Counter()
+        number = Counter()
+        for k, weight in enumerate(weights):
+            genus = samples[k]["genus"].reshape(-1, 8)[-1]
+            topology = tuple(sorted(g for g in genus.tolist() if g >= 0))
+            total[topology] += float(weight)
+            number[topology] += 1
+        assert len(number) > 1
+        assert total == pytest.approx({found: count**0.5 for found, count in number.items()})
