@@ -1,7 +1,11 @@
 """Augmentation of batches: what must not matter, drawn again for every batch.
 
-Everything turns about z and may be mirrored, in all frames of a sample alike; components change
-their names; points are moved, dropped or lose their labels, as a camera and a segmentation would.
+Everything turns a little about z, and more or mirrored if that is asked for, in all frames of a
+sample alike; components change their names; points are moved, dropped or lose their labels, as a
+camera and a segmentation would.
+
+A turn also moves the camera, and where it stands says which side is hidden. So turning any way
+round costs a model of few steps a lot (`LOG.md`); it is for data with cameras all around.
 A batch has one axis before its frames, or none: single views have no axis of frames.
 """
 
@@ -23,8 +27,8 @@ PLACES = ("points", "queries", "tool_points")
 class Augmentation:
     """How much is changed; zero and False leave a batch as it is."""
 
-    turn: bool = True  # any angle about z
-    mirror: bool = True  # x -> -x, half of the time
+    turn: float = math.radians(10)  # greatest angle about z, either way; pi = any
+    mirror: bool = False  # x -> -x, half of the time
     shuffle_components: bool = True
     point_noise: float = 0.5e-3  # [m], standard deviation
     point_dropout: float = 0.5  # most points that are dropped; others take their place
@@ -60,8 +64,8 @@ def augmented(
 def _motions(
     count: int, augmentation: Augmentation, rng: torch.Generator
 ) -> Float[Tensor, "count 3 3"]:
-    """One rotation about z a sample, with a mirror image half of the time."""
-    angle = torch.rand(count, generator=rng) * (2 * math.pi * augmentation.turn)
+    """One rotation about z a sample, with a mirror image half of the time if that is asked for."""
+    angle = (2 * torch.rand(count, generator=rng) - 1) * augmentation.turn
     side = torch.randint(0, 2, (count,), generator=rng) * 2 - 1 if augmentation.mirror else 1
     cosine, sine, zero = angle.cos(), angle.sin(), torch.zeros(count)
     rows = [cosine * side, -sine, zero, sine * side, cosine, zero, zero, zero, zero + 1]

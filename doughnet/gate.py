@@ -21,7 +21,7 @@ __all__ = ["GateResult", "held_out_scores", "train_and_score"]
 HELD_OUT_SEED = 2**31  # no training batch draws from it
 BATCH_SIZE = 8
 # Every batch has new shapes in new places; only the names of components must not be learned.
-NEW_ANYWAY = Augmentation(turn=False, mirror=False, point_dropout=0.0, label_dropout=0.0)
+NEW_ANYWAY = Augmentation(turn=0.0, point_dropout=0.0, label_dropout=0.0)
 GATE_TRAINING = TrainConfig(optimiser=OptimiserConfig(learning_rate=2e-3))
 
 

@@ -82,7 +82,9 @@ def test_augmentation_is_one_rigid_motion_for_all_of_a_sample() -> None:
         "queries": torch.rand(3, 2, 10, 3, generator=rng),
         "tool_points": torch.rand(3, 2, 2, 5, 3, generator=rng),
     }
-    rigid = Augmentation(point_noise=0.0, point_dropout=0.0, label_dropout=0.0)
+    rigid = Augmentation(
+        turn=math.pi, mirror=True, point_noise=0.0, point_dropout=0.0, label_dropout=0.0
+    )
     out = augmented(batch, rigid, seed=7, components=4)
     names = ("points", "queries", "tool_points")
     before, after = (
@@ -100,6 +102,20 @@ def test_augmentation_is_one_rigid_motion_for_all_of_a_sample() -> None:
     assert len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs})
 
 
+@pytest.mark.parametrize("most", [0.0, 0.1, 1.0])
+def test_no_sample_turns_further_than_it_may(most: float) -> None:
+    """All angles up to the greatest one occur, either way, and none beyond; nothing is mirrored."""
+    point = torch.tensor([1.0, 0.0, 0.5]).expand(400, 1, 3)
+    batch = {"points": point, "point_labels": torch.zeros(400, 1, dtype=torch.int64)}
+    still = Augmentation(turn=most, point_noise=0.0, point_dropout=0.0)
+    out = augmented(batch, still, seed=2, components=4)["points"][:, 0]
+    angle = torch.atan2(out[:, 1], out[:, 0])
+    assert angle.abs().max() <= most + 1e-6
+    assert angle.max() >= 0.95 * most
+    assert angle.min() <= -0.95 * most
+    torch.testing.assert_close(out[:, 2], point[:, 0, 2])
+
+
 def test_spoiled_points_come_from_the_view() -> None:
     """Dropped points are replaced by kept ones; without labels all points say so; padding stays."""
     rng = torch.Generator().manual_seed(0)
@@ -107,7 +123,7 @@ def test_spoiled_points_come_from_the_view() -> None:
     labels = torch.zeros(8, 50, dtype=torch.int64)
     labels[0] = -1
     batch = {"points": points, "point_labels": labels}
-    spoil = Augmentation(turn=False, mirror=False, point_noise=0.0, label_dropout=1.0)
+    spoil = Augmentation(turn=0.0, point_noise=0.0, label_dropout=1.0)
     out = augmented(batch, spoil, seed=1, components=4)
     for before, after in zip(points, out["points"], strict=True):
         distance = torch.cdist(after.double(), before.double()).amin(dim=1)

@@ -149,7 +149,7 @@ def test_the_second_stage_leaves_the_autoencoder_alone() -> None:
     model = DoughNet(NANO)
     before = {n: p.clone() for n, p in model.named_parameters()}
     moving = _moving_frames()
-    same = Augmentation(turn=False, mirror=False, point_noise=0.0, point_dropout=0.0,
+    same = Augmentation(turn=0.0, point_noise=0.0, point_dropout=0.0,
                         shuffle_components=False, label_dropout=0.0)  # fmt: skip
     stage = DynamicsStage(model, augmentation=same)
     copied = stage(moving, seed=0)["latent"].item()
