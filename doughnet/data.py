@@ -118,7 +118,7 @@ class EndlessBatches:
 def balancing(data: PlacedSamples) -> Float64[np.ndarray, " samples"]:
     """How often to draw each sample: a topology as the root of its frequency, not as that itself.
 
-    A window counts for its last key frame, and a topology is the set of its components' genera.
+    A window counts for its last key frame; a topology is the genera of all components, sorted.
     """
     classes = [None if genus is None else tuple(sorted(genus)) for genus in _genera(data)]
     number = Counter(classes)

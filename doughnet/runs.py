@@ -91,7 +91,8 @@ def train_stage(
         "split": config.split,
         "seed": config.loader.seed,
     }
-    data: PlacedSamples = DoughDataset(config.dataset, **common)  # every view that was rendered
+    views = DoughDataset(config.dataset, **common)  # every view that was rendered
+    data: PlacedSamples = views
     if name == "dynamics":
         frames = key_frames(data.source, sensor)
         data = _sequences(config.dataset, frames, common, length=1 + how.steps)
@@ -101,8 +102,7 @@ def train_stage(
         stage: Stage = AutoencoderStage(model, class_weights=weights)
     else:
         stage = DynamicsStage(model, class_weights=weights, explicit=how.explicit)
-    frames = tuple(sorted(set(data.places[:, 1].tolist())))
-    return _fit(stage, data, frames, drawn, before, config, fabric, listener)
+    return _fit(stage, data, views.rendered_frames, drawn, before, config, fabric, listener)
 
 
 def _fit(
